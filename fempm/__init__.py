@@ -1,0 +1,45 @@
+"""fempm: the material point method on unstructured simplex meshes (UMLS-MPM) for FEniCSx.
+
+A scene is a mesh, bodies of particles with materials, walls, and a run:
+
+    mesh = read_mesh("meshes/sphere.geo")
+    ball = Body(*fill_cells(mesh, 8, inside), NeoHookean(density=1e3, young=1e6, poisson=0.3))
+    simulation = Simulation(mesh, [ball], [Wall("wall", "sticky")], gravity=(0, 0, -9.81))
+    run(simulation, until=1.0, output="results/ball")
+"""
+
+from .locate import LostParticles
+from .materials import (
+    Hencky,
+    LinearElastic,
+    NeoHookean,
+    StVenantKirchhoff,
+    WeaklyCompressibleFluid,
+)
+from .mesh import SimplexMesh, from_dolfinx, interval_mesh, mark_boundary, read_mesh
+from .particles import Body, fill_box, fill_cells
+from .run import run
+from .solver import Simulation, SimulationError
+from .walls import Wall
+
+__version__ = "0.1.0"
+__all__ = [
+    "Body",
+    "Hencky",
+    "LinearElastic",
+    "LostParticles",
+    "NeoHookean",
+    "SimplexMesh",
+    "Simulation",
+    "SimulationError",
+    "StVenantKirchhoff",
+    "Wall",
+    "WeaklyCompressibleFluid",
+    "fill_box",
+    "fill_cells",
+    "from_dolfinx",
+    "interval_mesh",
+    "mark_boundary",
+    "read_mesh",
+    "run",
+]

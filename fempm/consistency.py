@@ -1,0 +1,310 @@
+"""Variationally consistent gradients: one vector phi per vertex that makes `int g_hat_k dx = 0`.
+
+With `K_kl = int w_k w_l - delta_kl w_k + w_l g_k . (x_l - x) dx` the consistent gradient of
+`../shared/design/variational-consistency.md` integrates to `r + K phi`, r = int g, for each component
+of phi. The condition is imposed on every vertex whose support lies inside the meshed region; next to
+walls on the folded test functions, that is on `int g_k + sum over mirrors C^T int g_mirror`, projected
+onto the free directions of wall vertices. There are more unknowns than conditions: LSQR from zero
+gives the smallest phi.
+
+K is small on smooth fields (its least singular values fall like (h / L)^4), so LSQR removes the
+mesh-scale part of r, which ruins convergence, in a few dozen iterations and would need thousands for the
+smooth rest, which is of second order anyway. Hence the cap on iterations.
+"""
+
+import numpy as np
+from numba import njit
+
+from .simplex import quadrature
+from .weights import MAX_RING, ROWS, D, R, W, barycentric, gather_ring, weights
+
+
+def correct(kernel, mesh, layer, tolerance=1e-11, max_iterations=300):
+    """Solve for phi and store it in the kernel; skipped where the plain integrals vanish already.
+
+    Parameters
+    ----------
+    kernel : Kernel, changed in place
+    mesh, layer : the SimplexMesh and WallLayer that it was built from
+    tolerance : relative residual at which LSQR stops
+    max_iterations : its iterations otherwise; the bar's error is the same with 30, 100, 300 and 1000
+
+    Returns
+    -------
+    dict
+        largest plain integral `before`, largest corrected one `after` (both relative to the volume
+        of the support over its size), `iterations`, and `solved`, False where nothing was to do
+    """
+    row_start, column, matrix, integral, volume = assemble(kernel)
+    scale = volume * kernel.inverse_support
+    conditions = Conditions(kernel, mesh, layer)
+    target = conditions.fold(integral) * conditions.rows
+    before = np.abs(target[scale > 0] / scale[scale > 0, None]).max(initial=0.0)
+    if before < 1e-10:
+        return {"before": before, "after": before, "iterations": 0, "solved": False}
+    phi, iterations = least_squares(
+        conditions,
+        row_start,
+        column,
+        matrix,
+        target,
+        volume,
+        kernel.inverse_support,
+        tolerance,
+        max_iterations,
+    )
+    residual = conditions.fold(integral + multiply(row_start, column, matrix, phi)) * conditions.rows
+    after = np.abs(residual[scale > 0] / scale[scale > 0, None]).max()
+    kernel.phi = phi
+    return {"before": before, "after": after, "iterations": iterations, "solved": True}
+
+
+class Conditions:
+    """The vertices that a condition is imposed on, and the folding of their mirrors into them."""
+
+    def __init__(self, kernel, mesh, layer):
+        self.num_vertices = len(mesh.points)
+        self.layer = layer
+        self.rows = np.zeros((len(kernel.points), 1))
+        self.rows[: self.num_vertices] = 1.0
+        near_open = np.zeros(self.num_vertices, bool)
+        near_open[layer.open_facets.ravel()] = True
+        source = np.repeat(np.arange(self.num_vertices), np.diff(mesh.adjacency_start))
+        for _ in range(2):  # the rings of all cells in the support lie within two edges
+            near_open[source[near_open[mesh.adjacency]]] = True
+        self.rows[np.flatnonzero(near_open)] = 0.0
+        self.rows[layer.incomplete] = 0.0
+
+    def fold(self, integrals):
+        """Add C^T times the mirrors' integrals (nv, d) to their owners', project at walls."""
+        layer = self.layer
+        out = integrals.copy()
+        folded = np.einsum("gba,gb->ga", layer.fold, integrals[self.num_vertices :])
+        np.add.at(out, layer.owner, folded)
+        out[layer.vertices] = np.einsum("wab,wb->wa", layer.project, out[layer.vertices])
+        return out
+
+    def unfold(self, values):
+        """Transpose of `fold`."""
+        layer = self.layer
+        out = values.copy()
+        out[layer.vertices] = np.einsum("wba,wb->wa", layer.project, out[layer.vertices])
+        out[self.num_vertices :] += np.einsum("gba,ga->gb", layer.fold, out[layer.owner])
+        return out
+
+
+def least_squares(
+    conditions,
+    row_start,
+    column,
+    matrix,
+    target,
+    volume,
+    inverse_support,
+    tolerance,
+    max_iterations,
+):
+    """Smallest phi with fold(K phi) = -target, by PETSc's LSQR; rows and columns scaled to size one."""
+    from petsc4py import PETSc
+
+    shape = target.shape
+    left = np.where(volume > 0, 1.0 / (np.maximum(volume, 1e-300) * inverse_support), 0.0)[:, None]
+    left = left * conditions.rows
+    right = inverse_support[:, None]
+    transposed = transpose(row_start, column, matrix, shape[0])
+
+    class Operator:
+        def mult(self, _, x, y):
+            phi = right * x.array_r.reshape(shape)
+            y.array_w[:] = (left * conditions.fold(multiply(row_start, column, matrix, phi))).ravel()
+
+        def multTranspose(self, _, x, y):
+            rows = conditions.unfold(left * x.array_r.reshape(shape))
+            y.array_w[:] = (right * multiply(*transposed, rows)).ravel()
+
+    n = target.size
+    operator = PETSc.Mat().createPython([n, n], Operator(), comm=PETSc.COMM_SELF)
+    operator.setUp()
+    solver = PETSc.KSP().create(PETSc.COMM_SELF)
+    solver.setOperators(operator)
+    solver.setType("lsqr")
+    solver.getPC().setType("none")
+    solver.setTolerances(rtol=tolerance, atol=0.0, max_it=max_iterations)
+    rhs = PETSc.Vec().createWithArray((-left * target).ravel(), comm=PETSc.COMM_SELF)
+    solution = rhs.duplicate()
+    solver.solve(rhs, solution)
+    return right * solution.array_r.reshape(shape), solver.its
+
+
+def assemble(kernel):
+    """K as CSR (row_start, column, values), plain integrals r (nv, d) and volumes int w (nv,)."""
+    nv = len(kernel.points)
+    points, w = quadrature(kernel.dim)
+    volumes = np.abs(1.0 / np.linalg.det(kernel.inverse)) / [1, 1, 2, 6][kernel.dim]
+    ring = (kernel.ring_start, kernel.ring_vertex)
+    cell_start, cell_of = ring_cells(*ring, nv)
+    row_start = matrix_rows(*ring, cell_start, cell_of, nv)
+    column = matrix_columns(*ring, cell_start, cell_of, row_start, nv)
+    matrix = np.zeros(len(column))
+    integral = np.zeros((nv, kernel.dim))
+    volume = np.zeros(nv)
+    integrate(
+        kernel.axes,
+        *kernel.mesh_arguments[:-1],
+        volumes,
+        points,
+        w,
+        row_start,
+        column,
+        matrix,
+        integral,
+        volume,
+    )
+    return row_start, column, matrix, integral, volume
+
+
+@njit(cache=True)
+def ring_cells(ring_start, ring_vertex, nv):
+    """CSR lists of the cells whose ring holds each vertex."""
+    start = np.zeros(nv + 1, np.int64)
+    for k in ring_vertex:
+        start[k + 1] += 1
+    start = np.cumsum(start)
+    fill = start[:-1].copy()
+    out = np.empty(len(ring_vertex), np.int32)
+    for c in range(len(ring_start) - 1):
+        for i in range(ring_start[c], ring_start[c + 1]):
+            out[fill[ring_vertex[i]]] = c
+            fill[ring_vertex[i]] += 1
+    return start, out
+
+
+@njit(cache=True)
+def matrix_rows(ring_start, ring_vertex, cell_start, cell_of, nv):
+    """Row offsets of K: vertices are coupled where a ring holds both."""
+    seen = np.full(nv, -1, np.int64)
+    out = np.zeros(nv + 1, np.int64)
+    for k in range(nv):
+        n = 0
+        for j in range(cell_start[k], cell_start[k + 1]):
+            c = cell_of[j]
+            for i in range(ring_start[c], ring_start[c + 1]):
+                if seen[ring_vertex[i]] != k:
+                    seen[ring_vertex[i]] = k
+                    n += 1
+        out[k + 1] = out[k] + n
+    return out
+
+
+@njit(cache=True)
+def matrix_columns(ring_start, ring_vertex, cell_start, cell_of, row_start, nv):
+    """Sorted columns of each row of K."""
+    seen = np.full(nv, -1, np.int64)
+    column = np.empty(row_start[-1], np.int32)
+    for k in range(nv):
+        at = row_start[k]
+        for j in range(cell_start[k], cell_start[k + 1]):
+            c = cell_of[j]
+            for i in range(ring_start[c], ring_start[c + 1]):
+                if seen[ring_vertex[i]] != k:
+                    seen[ring_vertex[i]] = k
+                    column[at] = ring_vertex[i]
+                    at += 1
+        column[row_start[k] : at].sort()
+    return column
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def integrate(
+    axes,
+    cells,
+    inverse,
+    ring_start,
+    ring_vertex,
+    ring_mask,
+    points,
+    inverse_support,
+    volumes,
+    rule,
+    rule_weights,
+    row_start,
+    column,
+    matrix,
+    integral,
+    volume,
+):
+    """Add the integrals of all cells to K, r and int w."""
+    dim = len(axes)
+    s = np.empty((ROWS, MAX_RING))
+    local = np.empty((MAX_RING, MAX_RING))
+    g = np.empty((3, MAX_RING))
+    x = np.empty(dim)
+    b = np.empty(4)
+    plain = np.zeros((0, dim))
+    for c in range(len(cells)):
+        first = ring_start[c]
+        n = ring_start[c + 1] - first
+        padded = gather_ring(axes, s, c, ring_start, ring_vertex, ring_mask, points, inverse_support, plain)
+        local[:n, :n] = 0.0
+        for i in range(len(rule)):
+            for a in range(dim):
+                x[a] = 0.0
+                for q in range(dim + 1):
+                    x[a] += rule[i, q] * points[cells[c, q], a]
+            barycentric(axes, b, x, c, cells, points, inverse)
+            m, k_inv, _ = weights(axes, s, padded, x, b, False)
+            dv = rule_weights[i] * volumes[c]
+            for k in range(n):
+                v = ring_vertex[first + k]
+                volume[v] += dv * s[W, k]
+                for a in range(dim):
+                    t = 0.0
+                    for e in range(dim):
+                        t += k_inv[3 * a + e] * (s[R + e, k] - m[e])
+                    g[a, k] = dv * s[D, k] * t
+                    integral[v, a] += g[a, k]
+                wk = dv * s[W, k]
+                local[k, k] -= wk
+                for j in range(n):
+                    t = wk + g[0, k] * s[R, j]
+                    if dim > 1:
+                        t += g[1, k] * s[R + 1, j]
+                    if dim > 2:
+                        t += g[2, k] * s[R + 2, j]
+                    local[k, j] += t * s[W, j]
+        for k in range(n):
+            v = ring_vertex[first + k]
+            at = row_start[v]
+            for j in range(n):
+                while column[at] < ring_vertex[first + j]:
+                    at += 1
+                matrix[at] += local[k, j]
+
+
+@njit(cache=True)
+def multiply(row_start, column, values, x):
+    """CSR matrix times (n, d) array."""
+    y = np.zeros((len(row_start) - 1, x.shape[1]))
+    for i in range(len(row_start) - 1):
+        for j in range(row_start[i], row_start[i + 1]):
+            for a in range(x.shape[1]):
+                y[i, a] += values[j] * x[column[j], a]
+    return y
+
+
+@njit(cache=True)
+def transpose(row_start, column, values, n):
+    """CSR transpose."""
+    start = np.zeros(n + 1, np.int64)
+    for j in column:
+        start[j + 1] += 1
+    start = np.cumsum(start)
+    fill = start[:-1].copy()
+    rows = np.empty(len(column), np.int32)
+    out = np.empty(len(column))
+    for i in range(len(row_start) - 1):
+        for j in range(row_start[i], row_start[i + 1]):
+            rows[fill[column[j]]] = i
+            out[fill[column[j]]] = values[j]
+            fill[column[j]] += 1
+    return start, rows, out

@@ -1,0 +1,240 @@
+"""Constitutive laws: dataclasses of parameters with Kirchhoff stress, stored energy and wave speed.
+
+Every law gives, for deformation gradients F (n, d, d), the Kirchhoff stress tau = P F^T = J sigma
+(n, d, d), which is what enters f_i = -sum_p V0_p tau_p grad w_ip (thesis eq. 2.8 with V = J V0), and
+the energy per initial volume psi (n,) with P = d psi / d F. In two dimensions F is in plane strain.
+Loops are compiled; a law of one's own needs only the same three methods, in NumPy if one likes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+
+@dataclass(frozen=True)
+class Elastic:
+    """Common parameters: density rho (kg/m^d), Young's modulus E (Pa), Poisson's ratio nu."""
+
+    density: float
+    young: float
+    poisson: float = 0.0
+
+    def __post_init__(self):
+        name = type(self).__name__
+        if not self.density > 0:
+            raise ValueError(f"{name}: density must be positive, got {self.density}")
+        if not self.young > 0:
+            raise ValueError(f"{name}: Young's modulus must be positive, got {self.young}")
+        if not -1 < self.poisson < 0.5:
+            raise ValueError(f"{name}: singular for Poisson's ratio {self.poisson}, it must lie in (-1, 0.5)")
+
+    @property
+    def lame(self):
+        """Lame parameters (lambda, mu)."""
+        e, nu = self.young, self.poisson
+        return e * nu / ((1 + nu) * (1 - 2 * nu)), e / (2 * (1 + nu))
+
+    def wave_speed(self):
+        """Speed of pressure waves in the undeformed solid, sqrt((lambda + 2 mu) / rho)."""
+        lam, mu = self.lame
+        return np.sqrt((lam + 2 * mu) / self.density)
+
+    def kirchhoff_stress(self, deformation_gradient, out):
+        """Write tau (n, d, d) to `out`; returns the number of the first particle with det F <= 0, or -1."""
+        return self._stress(deformation_gradient, *self.lame, out)
+
+    def energy(self, deformation_gradient):
+        """Energy per initial volume psi (n,)."""
+        f = deformation_gradient
+        return self._energy(f, *self.lame)
+
+
+class LinearElastic(Elastic):
+    """psi = mu eps : eps + lambda tr(eps)^2 / 2, eps = sym(F) - I; in 1D with nu = 0, P = E (F - 1)."""
+
+    def _stress(self, f, lam, mu, out):
+        return linear_stress(f, lam, mu, out)
+
+    def _energy(self, f, lam, mu):
+        eps = 0.5 * (f + np.swapaxes(f, 1, 2)) - np.eye(f.shape[1])
+        return mu * np.sum(eps**2, axis=(1, 2)) + 0.5 * lam * np.trace(eps, axis1=1, axis2=2) ** 2
+
+
+class NeoHookean(Elastic):
+    """psi = mu (tr(F F^T) - d) / 2 - mu ln J + lambda (ln J)^2 / 2."""
+
+    def _stress(self, f, lam, mu, out):
+        return neo_hookean_stress(f, lam, mu, out)
+
+    def _energy(self, f, lam, mu):
+        log_j = np.log(np.linalg.det(f))
+        return 0.5 * mu * (np.sum(f**2, axis=(1, 2)) - f.shape[1]) - mu * log_j + 0.5 * lam * log_j**2
+
+
+class StVenantKirchhoff(Elastic):
+    """psi = mu E : E + lambda tr(E)^2 / 2, E = (F^T F - I) / 2."""
+
+    def _stress(self, f, lam, mu, out):
+        return st_venant_kirchhoff_stress(f, lam, mu, out)
+
+    def _energy(self, f, lam, mu):
+        green = 0.5 * (np.swapaxes(f, 1, 2) @ f - np.eye(f.shape[1]))
+        return mu * np.sum(green**2, axis=(1, 2)) + 0.5 * lam * np.trace(green, axis1=1, axis2=2) ** 2
+
+
+class Hencky(Elastic):
+    """psi = mu sum(e_i^2) + lambda (sum e_i)^2 / 2 with the logarithms e_i of the principal stretches."""
+
+    def kirchhoff_stress(self, deformation_gradient, out):
+        lam, mu = self.lame
+        f = deformation_gradient
+        squares, axes = np.linalg.eigh(f @ np.swapaxes(f, 1, 2))
+        bad = np.flatnonzero(~(np.linalg.det(f) > 0))
+        logs = 0.5 * np.log(np.maximum(squares, 1e-300))
+        principal = 2 * mu * logs + lam * logs.sum(axis=1, keepdims=True)
+        np.einsum("nik,nk,njk->nij", axes, principal, axes, out=out)
+        return int(bad[0]) if len(bad) else -1
+
+    def _energy(self, f, lam, mu):
+        logs = np.log(np.linalg.svd(f, compute_uv=False))
+        return mu * np.sum(logs**2, axis=1) + 0.5 * lam * np.sum(logs, axis=1) ** 2
+
+
+@dataclass(frozen=True)
+class WeaklyCompressibleFluid:
+    """Pressure p = K / gamma (J^-gamma - 1) of a barotropic liquid, with viscosity left out.
+
+    psi = K / gamma (J^(1 - gamma) / (gamma - 1) + J), tau = -J p I. Parameters: density (kg/m^d),
+    bulk modulus K (Pa), exponent gamma > 1 (7 for water).
+    """
+
+    density: float
+    bulk: float
+    gamma: float = 7.0
+
+    def __post_init__(self):
+        for name in ("density", "bulk"):
+            if not getattr(self, name) > 0:
+                raise ValueError(
+                    f"WeaklyCompressibleFluid: {name} must be positive, got {getattr(self, name)}"
+                )
+        if not self.gamma > 1:
+            raise ValueError(f"WeaklyCompressibleFluid: singular for gamma {self.gamma}, it must exceed 1")
+
+    def wave_speed(self):
+        """Speed of sound at rest, sqrt(K / rho)."""
+        return np.sqrt(self.bulk / self.density)
+
+    def kirchhoff_stress(self, deformation_gradient, out):
+        """Write tau (n, d, d) to `out`; returns the number of the first particle with det F <= 0, or -1."""
+        return fluid_stress(deformation_gradient, self.bulk, self.gamma, out)
+
+    def energy(self, deformation_gradient):
+        """Energy per initial volume psi (n,), zero at J = 1."""
+        j, g = np.linalg.det(deformation_gradient), self.gamma
+        return self.bulk / g * (j ** (1 - g) / (g - 1) + j - g / (g - 1))
+
+
+kernel_options = {"cache": True, "nogil": True, "error_model": "numpy"}
+
+
+@njit(**kernel_options)
+def determinant(f):
+    """det f of a (d, d) matrix, d <= 3."""
+    if f.shape[0] == 1:
+        return f[0, 0]
+    if f.shape[0] == 2:
+        return f[0, 0] * f[1, 1] - f[0, 1] * f[1, 0]
+    return (
+        f[0, 0] * (f[1, 1] * f[2, 2] - f[1, 2] * f[2, 1])
+        - f[0, 1] * (f[1, 0] * f[2, 2] - f[1, 2] * f[2, 0])
+        + f[0, 2] * (f[1, 0] * f[2, 1] - f[1, 1] * f[2, 0])
+    )
+
+
+@njit(**kernel_options)
+def linear_stress(f, lam, mu, out):
+    """tau = P F^T, P = 2 mu eps + lambda tr(eps) I."""
+    n, d, _ = f.shape
+    bad = -1
+    for p in range(n):
+        if bad < 0 and not determinant(f[p]) > 0:
+            bad = p
+        trace = -float(d)
+        for a in range(d):
+            trace += f[p, a, a]
+        for a in range(d):
+            for b in range(d):
+                t = lam * trace * f[p, b, a] - 2 * mu * f[p, b, a]
+                for c in range(d):
+                    t += mu * (f[p, a, c] + f[p, c, a]) * f[p, b, c]
+                out[p, a, b] = t
+    return bad
+
+
+@njit(**kernel_options)
+def neo_hookean_stress(f, lam, mu, out):
+    """tau = mu (F F^T - I) + lambda ln J I."""
+    n, d, _ = f.shape
+    bad = -1
+    for p in range(n):
+        j = determinant(f[p])
+        if bad < 0 and not j > 0:
+            bad = p
+        pressure = lam * np.log(j) - mu
+        for a in range(d):
+            for b in range(a + 1):
+                t = 0.0
+                for c in range(d):
+                    t += f[p, a, c] * f[p, b, c]
+                out[p, a, b] = mu * t
+                out[p, b, a] = mu * t
+            out[p, a, a] += pressure
+    return bad
+
+
+@njit(**kernel_options)
+def st_venant_kirchhoff_stress(f, lam, mu, out):
+    """tau = F S F^T, S = 2 mu E + lambda tr(E) I."""
+    n, d, _ = f.shape
+    bad = -1
+    s = np.empty((d, d))
+    for p in range(n):
+        if bad < 0 and not determinant(f[p]) > 0:
+            bad = p
+        trace = 0.0
+        for a in range(d):
+            for b in range(d):
+                t = 0.0
+                for c in range(d):
+                    t += f[p, c, a] * f[p, c, b]
+                s[a, b] = mu * t
+            s[a, a] -= mu
+            trace += s[a, a] / (2 * mu)
+        for a in range(d):
+            s[a, a] += lam * trace
+        for a in range(d):
+            for b in range(d):
+                t = 0.0
+                for c in range(d):
+                    for e in range(d):
+                        t += f[p, a, c] * s[c, e] * f[p, b, e]
+                out[p, a, b] = t
+    return bad
+
+
+@njit(**kernel_options)
+def fluid_stress(f, bulk, gamma, out):
+    """tau = -J p I, p = K / gamma (J^-gamma - 1)."""
+    n, d, _ = f.shape
+    bad = -1
+    for p in range(n):
+        j = determinant(f[p])
+        if bad < 0 and not j > 0:
+            bad = p
+        pressure = bulk / gamma * (j ** (1 - gamma) - j)
+        for a in range(d):
+            for b in range(d):
+                out[p, a, b] = -pressure if a == b else 0.0
+    return bad

@@ -1,0 +1,233 @@
+"""Simplex meshes as the flat arrays that particle codes need, made from any DOLFINx mesh."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+SIMPLICES = ("interval", "triangle", "tetrahedron")
+
+
+@dataclass
+class SimplexMesh:
+    """A mesh of intervals, triangles or tetrahedra.
+
+    Arrays are local to the MPI rank: owned vertices and cells come first, copies of other ranks'
+    ones after them.
+
+    Attributes
+    ----------
+    points : (nv, d) vertex coordinates
+    cells : (nc, d + 1) int32 vertices of each cell
+    neighbours : (nc, d + 1) int32 cell across the facet opposite each vertex, -1 where there is none
+    inverse : (nc, d, d) maps x - points[cells[c, 0]] to the barycentric coordinates 1..d
+    adjacency_start, adjacency : CSR lists of each vertex's edge neighbours, without itself
+    boundaries : boundary name -> (nf, d) int32 vertices of its facets; "boundary" is all of it
+    num_owned_vertices, num_owned_cells : how many of the local ones this rank owns
+    global_vertices, global_cells : (nv,), (nc,) int64 numbers across all ranks
+    """
+
+    points: np.ndarray
+    cells: np.ndarray
+    boundaries: dict = field(default_factory=dict)
+    num_owned_vertices: int = -1
+    num_owned_cells: int = -1
+    global_vertices: np.ndarray = None
+    global_cells: np.ndarray = None
+
+    def __post_init__(self):
+        self.points = np.ascontiguousarray(self.points, np.float64)
+        self.cells = np.ascontiguousarray(self.cells, np.int32)
+        nv, nc = len(self.points), len(self.cells)
+        if self.cells.ndim != 2 or self.cells.shape[1] != self.dim + 1:
+            raise ValueError(
+                f"cells of shape {self.cells.shape} are no simplices of dimension {self.dim}: "
+                f"give (n, {self.dim + 1}) vertex numbers"
+            )
+        if self.num_owned_vertices < 0:
+            self.num_owned_vertices, self.num_owned_cells = nv, nc
+            self.global_vertices, self.global_cells = np.arange(nv), np.arange(nc)
+        edges = self.points[self.cells[:, 1:]] - self.points[self.cells[:, :1]]
+        determinant = np.linalg.det(edges)
+        flat = np.flatnonzero(
+            np.abs(determinant) <= 1e-14 * np.ptp(self.points, axis=0).max() ** self.dim
+        )
+        if len(flat):
+            c = flat[0]
+            raise ValueError(
+                f"cell {c} has no volume (corners {self.points[self.cells[c]].tolist()}): "
+                "remove it or mesh again with gmsh's optimiser"
+            )
+        self.volumes = np.abs(determinant) / [1, 1, 2, 6][self.dim]
+        self.inverse = np.ascontiguousarray(np.linalg.inv(edges).transpose(0, 2, 1))
+        self.neighbours, self.exterior_facets = facet_neighbours(self.cells)
+        self.adjacency_start, self.adjacency = vertex_adjacency(self.cells, nv)
+        self.boundaries.setdefault("boundary", self.exterior_facets)
+
+    @property
+    def dim(self):
+        """Space dimension d (1, 2 or 3)."""
+        return self.points.shape[1]
+
+    def quality(self, cell):
+        """Shape quality of one cell: d-th root of volume over rms edge length, 1 for the regular one."""
+        corners = self.points[self.cells[cell]]
+        pairs = np.triu_indices(self.dim + 1, 1)
+        rms = np.sqrt(np.mean(np.sum((corners[pairs[0]] - corners[pairs[1]]) ** 2, axis=1)))
+        regular = [1.0, 1.0, np.sqrt(3) / 4, 1 / np.sqrt(72)][self.dim]
+        return (self.volumes[cell] / regular) ** (1 / self.dim) / rms
+
+    def facets(self, name):
+        """(nf, d) int32 vertices of the facets of a named boundary; KeyError names those there are."""
+        if name not in self.boundaries:
+            raise KeyError(
+                f"unknown boundary tag {name!r}: this mesh has {sorted(self.boundaries)}"
+            )
+        return self.boundaries[name]
+
+
+def facet_neighbours(cells):
+    """Cell neighbours across facets.
+
+    Returns
+    -------
+    neighbours : (nc, d + 1) int32, -1 outside
+    exterior : (nf, d) int32 vertices of the facets that belong to one cell only
+    """
+    nc, corners = cells.shape
+    facets = np.stack([np.delete(cells, q, axis=1) for q in range(corners)], axis=1)
+    facets = facets.reshape(nc * corners, corners - 1)
+    keys = np.sort(facets, axis=1)
+    order = np.lexsort(keys.T[::-1])
+    same = np.all(keys[order[1:]] == keys[order[:-1]], axis=1)
+    first, second = order[:-1][same], order[1:][same]
+    neighbours = np.full(nc * corners, -1, np.int32)
+    neighbours[first], neighbours[second] = second // corners, first // corners
+    return neighbours.reshape(nc, corners), facets[neighbours == -1]
+
+
+def vertex_adjacency(cells, num_vertices):
+    """CSR lists (start, adjacent) of the vertices that share an edge with each vertex, sorted."""
+    a, b = np.triu_indices(cells.shape[1], 1)
+    pairs = np.concatenate([cells[:, a].ravel(), cells[:, b].ravel()]).astype(np.int64)
+    other = np.concatenate([cells[:, b].ravel(), cells[:, a].ravel()])
+    unique = np.unique(pairs * num_vertices + other)
+    start = np.searchsorted(unique, np.arange(num_vertices + 1, dtype=np.int64) * num_vertices)
+    empty = np.flatnonzero(np.diff(start) == 0)
+    if len(empty):
+        raise ValueError(
+            f"vertex {empty[0]} belongs to no cell: remove unused points from the mesh"
+        )
+    return start, (unique % num_vertices).astype(np.int32)
+
+
+def mean_edge_length(points, start, adjacent):
+    """(nv,) mean distance of each vertex to its neighbours in the CSR lists."""
+    count = np.diff(start)
+    length = np.linalg.norm(
+        points[adjacent] - np.repeat(points[: len(count)], count, axis=0), axis=1
+    )
+    return np.add.reduceat(length, start[:-1]) / count
+
+
+def interval_mesh(x):
+    """Mesh of the intervals between increasing coordinates x (n,)."""
+    x = np.asarray(x, float)
+    return SimplexMesh(x[:, None], np.stack([np.arange(len(x) - 1), np.arange(1, len(x))], axis=1))
+
+
+def from_dolfinx(mesh, facet_tags=None, names=None, boundaries=None):
+    """Wrap a DOLFINx simplex mesh.
+
+    Parameters
+    ----------
+    mesh : dolfinx.mesh.Mesh of intervals, triangles or tetrahedra, first-order geometry
+    facet_tags : dolfinx MeshTags of facets, optional
+    names : dict name -> tag value; unnamed values are called "1", "2", ...
+    boundaries : dict name -> function of coordinates (d, n) -> (n,) bool; an exterior facet belongs to
+        the boundary if the function holds at all of its vertices
+
+    Raises
+    ------
+    ValueError
+        for other cell types, curved geometry, or a boundary that no facet belongs to
+    """
+    from . import compat
+
+    kind = compat.cell_kind(mesh)
+    if kind not in SIMPLICES:
+        raise ValueError(
+            f"mesh of {kind} cells: only simplex meshes ({', '.join(SIMPLICES)}) are supported"
+        )
+    if compat.geometry_degree(mesh) != 1:
+        raise ValueError(
+            f"mesh geometry of degree {compat.geometry_degree(mesh)}: only straight-sided cells (degree 1)"
+        )
+    tdim, gdim = mesh.topology.dim, mesh.geometry.dim
+    if tdim != gdim:
+        raise ValueError(
+            f"{kind} mesh embedded in {gdim}D space: give a mesh with as many coordinates as {tdim}"
+        )
+    owned_vertices, global_vertices, _ = compat.index_map_arrays(mesh, 0)
+    owned_cells, global_cells, _ = compat.index_map_arrays(mesh, tdim)
+    wrapped = SimplexMesh(
+        compat.vertex_points(mesh),
+        compat.cell_vertices(mesh),
+        num_owned_vertices=owned_vertices,
+        num_owned_cells=owned_cells,
+        global_vertices=global_vertices,
+        global_cells=global_cells,
+    )
+    if facet_tags is not None:
+        called = {value: name for name, value in (names or {}).items()}
+        for value in np.unique(facet_tags.values):
+            facets = facet_tags.indices[facet_tags.values == value]
+            wrapped.boundaries[called.get(value, str(value))] = compat.facet_vertices(mesh, facets)
+    for name, predicate in (boundaries or {}).items():
+        mark_boundary(wrapped, name, predicate)
+    return wrapped
+
+
+def mark_boundary(mesh, name, predicate):
+    """Name the exterior facets at whose vertices `predicate(x)` holds, x of shape (d, n)."""
+    holds = np.asarray(predicate(mesh.points.T), bool)
+    facets = mesh.exterior_facets[holds[mesh.exterior_facets].all(axis=1)]
+    if len(facets) == 0:
+        raise ValueError(f"boundary {name!r}: its predicate holds on no exterior facet")
+    mesh.boundaries[name] = facets
+
+
+def read_mesh(path, boundaries=None, size=None):
+    """Read a gmsh .geo or .msh file, or an XDMF file.
+
+    Parameters
+    ----------
+    path : file; a .geo file is meshed by gmsh (package `gmsh`), with the options set in it
+    boundaries : as in `from_dolfinx`; physical groups and mesh tags are named as in the file
+    size : number, overrides the variable `h` of a .geo file that has `DefineConstant[h = ...];`
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        for a missing file, an unknown ending or a file that is no mesh
+    ImportError
+        for gmsh files where the package gmsh is not installed
+    """
+    from . import compat, gmsh_reader  # before MPI: see there
+
+    # isort: split
+    from mpi4py import MPI
+
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"mesh file {path} does not exist")
+    if size is not None and (path.suffix != ".geo" or not size > 0):
+        raise ValueError(f"{path}: size {size!r} must be positive, and for a .geo file")
+    if path.suffix == ".xdmf":
+        mesh, _, facet_tags = compat.read_xdmf_mesh(MPI.COMM_WORLD, path)
+        names = None
+    elif path.suffix in (".geo", ".msh"):
+        mesh, facet_tags, names = gmsh_reader.read_gmsh(MPI.COMM_WORLD, path, size)
+    else:
+        raise ValueError(f"{path}: unknown mesh format {path.suffix!r}, give .geo, .msh or .xdmf")
+    return from_dolfinx(mesh, facet_tags, names, boundaries)

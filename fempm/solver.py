@@ -1,0 +1,331 @@
+"""The explicit material point method: scene, time step and run loop (thesis Algorithm 1)."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numba import njit
+
+from . import consistency, grid, locate, transfer
+from .kernel import build_kernel, check_cells, negative_weights
+from .mesh import mean_edge_length
+from .particles import join_bodies
+from .walls import wall_layer
+
+TRANSFERS = ("apic", "flip", "pic")
+
+
+class SimulationError(RuntimeError):
+    """A run that went wrong: what happened, when and where."""
+
+
+class Simulation:
+    """Bodies moving on a background mesh.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh
+    bodies : list of Body
+    walls : list of Wall; boundaries without one are open, particles must not leave through them
+    gravity : (d,) constant acceleration
+    body_force : function (positions (n, d), time) -> acceleration (n, d) at the particles
+    transfer : "apic", "flip" or "pic"
+    flip : share of FLIP in its blend with PIC, for transfer="flip"
+    gradient : "consistent" (design note) or "plain" (the paper's MLS gradient)
+    diminishing : False switches eta off, for comparison only
+    support : support of the kernel over the mean edge length, see `kernel.SUPPORT`
+    cfl : time step over (local mesh size) / (wave speed + particle speed)
+    threads : threads of the transfers; one by default
+
+    Attributes
+    ----------
+    particles : Particles
+    time, steps : simulated time and number of steps taken
+    """
+
+    def __init__(
+        self,
+        mesh,
+        bodies,
+        walls=(),
+        gravity=None,
+        body_force=None,
+        transfer="apic",
+        flip=1.0,
+        gradient="consistent",
+        diminishing=True,
+        support=None,
+        cfl=0.3,
+        threads=1,
+    ):
+        if transfer not in TRANSFERS:
+            raise ValueError(f"transfer {transfer!r}: give one of {', '.join(TRANSFERS)}")
+        if gradient not in ("consistent", "plain"):
+            raise ValueError(f"gradient {gradient!r}: give 'consistent' or 'plain'")
+        if not 0 <= flip <= 1:
+            raise ValueError(f"flip {flip}: the share of FLIP lies in [0, 1]")
+        if mesh.num_owned_cells != len(mesh.cells):
+            raise ValueError("this mesh is spread over several ranks: simulations run on one rank for now")
+        self.mesh, self.bodies, self.walls = mesh, list(bodies), list(walls)
+        self.transfer, self.cfl, self.body_force = transfer, cfl, body_force
+        self.flip = flip if transfer == "flip" else 0.0
+        d = mesh.dim
+        self.gravity = np.zeros(d) if gravity is None else np.asarray(gravity, float).reshape(d)
+        self.layer = wall_layer(mesh, self.walls)
+        self.kernel = build_kernel(mesh, self.layer, support, diminishing)
+        check_cells(self.kernel, mesh)
+        self.correction = {"solved": False, "before": np.nan, "after": np.nan, "iterations": 0}
+        if gradient == "consistent":
+            self.correction = consistency.correct(self.kernel, mesh, self.layer)
+        self.particles = join_bodies(self.bodies, d, transfer == "apic")
+        self.particles.cell[:] = locate.find_cells(mesh, self.particles.position)
+        self.cell_size = cell_sizes(mesh)
+        self.bins = locate.cell_bins(mesh)
+        self.wall_facet = wall_facets(mesh, self.layer)
+        self.threads = threads
+        self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self.time, self.steps, self.dt = 0.0, 0, 0.0
+        self.dropped_vertices, self.lost_momentum, self.wall_hits = 0, 0.0, 0
+        self._allocate()
+        self.update_stress()
+
+    def _allocate(self):
+        n, nv, nc = len(self.particles), len(self.kernel.points), len(self.mesh.cells)
+        d = self.mesh.dim
+        self.order = np.empty(n, np.int32)
+        self.active, self.start = np.empty(nc, np.int32), np.empty(nc + 1, np.int32)
+        self.count = np.zeros(nc + 1, np.int32)
+        self.stamp, self.vertices = np.full(nv, -1, np.int64), np.empty(nv, np.int32)
+        self.grids = np.zeros((self.threads, nv, 1 + 2 * d))
+        self.velocity = np.zeros((nv, d))
+        self.increment = np.zeros((nv if self.flip > 0 else 0, d))
+        self.status = np.zeros(n, np.int8)
+        self.force = np.zeros((0, d))
+        self.smallest_mass = 1e-12 * self.particles.mass.min()
+        self.wave_speed = np.array([b.material.wave_speed() for b in self.bodies])
+
+    def step(self, dt):
+        """One step of Algorithm 1.
+
+        Raises
+        ------
+        SimulationError
+            for an inverted or not finite particle, with time and place
+        LostParticles
+            for particles that left the mesh
+        """
+        self.sort_particles()
+        self.particle_to_grid()
+        self.update_grid(dt)
+        self.grid_to_particle(dt)
+        self.time += dt
+        self.steps += 1
+        self.update_stress()
+        self.locate_particles()
+
+    def sort_particles(self):
+        """List particles cell by cell, and the vertices and threads' shares of the active cells."""
+        p, k = self.particles, self.kernel
+        self.num_active = locate.sort_by_cell(p.cell, self.count, self.order, self.active, self.start)
+        self.num_vertices = grid.mark_vertices(
+            self.active,
+            self.num_active,
+            k.ring_start,
+            k.ring_vertex,
+            self.stamp,
+            self.steps,
+            self.vertices,
+        )
+        shares = np.linspace(0, len(p), self.threads + 1)
+        self.shares = np.searchsorted(self.start[: self.num_active + 1], shares)
+
+    def particle_to_grid(self):
+        """Mass, momentum and force of the particles on the vertices."""
+        p = self.particles
+        grid.clear(self.grids, self.vertices, self.num_vertices)
+        if self.body_force is not None:
+            self.force = p.mass[:, None] * self.body_force(p.position, self.time)
+        fixed = (self.active, self.start, self.order, p.position, p.velocity, p.affine, p.mass)
+        fields = (p.volume, p.stress, self.force, *self.kernel.mesh_arguments)
+
+        def share(thread):
+            first, last = self.shares[thread : thread + 2]
+            transfer.particle_to_grid(self.kernel.axes, first, last, *fixed, *fields, self.grids[thread])
+
+        self.on_threads(share)
+        if self.threads > 1:
+            grid.sum_threads(self.grids, self.vertices, self.num_vertices)
+
+    def update_grid(self, dt):
+        """Fold mirrors, update velocities, apply walls, fill mirrors."""
+        layer, nv = self.layer, len(self.mesh.points)
+        drift, change = self.wall_motion(dt)
+        grid.fold_mirrors(self.grids[0], self.stamp, self.steps, nv, layer.owner, layer.fold, drift[0])
+        dropped, lost = grid.update_velocity(
+            self.grids[0],
+            self.vertices,
+            self.num_vertices,
+            nv,
+            dt,
+            self.gravity,
+            self.smallest_mass,
+            self.velocity,
+            self.increment,
+        )
+        self.dropped_vertices += dropped
+        self.lost_momentum += lost
+        grid.constrain(layer.vertices, layer.project, drift[1], change[1], self.velocity, self.increment)
+        grid.fill_mirrors(nv, layer.owner, layer.fold, drift[0], change[0], self.velocity, self.increment)
+
+    def wall_motion(self, dt):
+        """What moving walls add to mirror and wall vertices: velocities, and their change in a step."""
+        d, shapes = self.mesh.dim, (len(self.layer.owner), len(self.layer.vertices))
+        if not self.layer.moving and self.steps:
+            return self.motion
+        drift, change = [[np.zeros((n, d)) for n in shapes] for _ in range(2)]
+        for wall, *matrices in self.layer.moving:
+            now = np.asarray(wall.velocity_at(self.time + dt), float)
+            before = np.asarray(wall.velocity_at(self.time), float)
+            for i, matrix in enumerate(matrices):
+                drift[i] += matrix @ now
+                change[i] += matrix @ (now - before)
+        self.motion = drift, change
+        return self.motion
+
+    def grid_to_particle(self, dt):
+        """Velocities, positions and deformation gradients of the particles."""
+        p = self.particles
+        fixed = (self.active, self.start, self.order, p.position, p.velocity, p.affine)
+        fields = (
+            p.deformation_gradient,
+            *self.kernel.mesh_arguments,
+            self.velocity,
+            self.increment,
+        )
+
+        def share(thread):
+            first, last = self.shares[thread : thread + 2]
+            transfer.grid_to_particle(self.kernel.axes, first, last, *fixed, *fields, self.flip, dt)
+
+        self.on_threads(share)
+
+    def on_threads(self, share):
+        """Call share(thread) for every thread."""
+        if self.pool is None:
+            share(0)
+        else:
+            list(self.pool.map(share, range(self.threads)))
+
+    def update_stress(self):
+        """Kirchhoff stress of every body from its material."""
+        p = self.particles
+        for body, part in zip(self.bodies, p.ranges, strict=True):
+            bad = body.material.kirchhoff_stress(p.deformation_gradient[part], p.stress[part])
+            if bad >= 0:
+                i = part.start + bad
+                j = np.linalg.det(p.deformation_gradient[i])
+                raise SimulationError(
+                    f"particle {i} of body {body.name!r} is inverted (det F = {j:.3g}) at time "
+                    f"{self.time:.6g}, step {self.steps}, position {p.position[i]}: "
+                    "take a smaller cfl or a finer mesh"
+                )
+
+    def locate_particles(self):
+        """Cells of the moved particles; particles that stepped through a wall are put back on it."""
+        p, m = self.particles, self.mesh
+        counts = np.zeros((self.threads, 2), np.int64)
+        bounds = np.linspace(0, len(p), self.threads + 1).astype(int)
+
+        def share(thread):
+            locate.walk(
+                self.kernel.axes,
+                bounds[thread],
+                bounds[thread + 1],
+                p.position,
+                p.cell,
+                m.cells,
+                m.points,
+                m.inverse,
+                m.neighbours,
+                self.wall_facet,
+                self.bins,
+                self.status,
+                counts[thread],
+            )
+
+        self.on_threads(share)
+        hits, lost = counts.sum(axis=0)
+        self.wall_hits += hits
+        if lost:
+            ids = np.flatnonzero(self.status == locate.LOST)
+            error = locate.LostParticles(ids, p.position[ids], m.points.min(axis=0), m.points.max(axis=0))
+            error.args = (f"time {self.time:.6g}, step {self.steps}: {error}",)
+            raise error
+
+    def stable_step(self):
+        """Time step cfl * min h / (c + |v|) over the particles."""
+        p = self.particles
+        rate = 0.0
+        for c, part in zip(self.wave_speed, p.ranges, strict=True):
+            rate = max(rate, signal_rate(p.velocity[part], p.cell[part], c, self.cell_size))
+        return self.cfl / rate
+
+    def active_parts(self):
+        """Which parts of the method this scene uses: name -> whether it costs anything."""
+        return {
+            "affine matrices (APIC)": len(self.particles.affine) > 0,
+            "velocity increments (FLIP)": len(self.increment) > 0,
+            "consistent-gradient correction": len(self.kernel.phi) > 0,
+            "mirror vertices along walls": len(self.layer.owner) > 0,
+            "moving walls": bool(self.layer.moving),
+            "body force at particles": self.body_force is not None,
+            "gravity": bool(np.any(self.gravity)),
+            "threads": self.threads > 1,
+        }
+
+    def report(self):
+        """A few lines on the scene: sizes, active parts, correction, counters."""
+        p, k = self.particles, self.kernel
+        negative, least = negative_weights(k, p.position, p.cell)
+        parts = [f"{'+' if on else '-'} {name}" for name, on in self.active_parts().items()]
+        return "\n".join(
+            [
+                f"{len(p)} particles in {len(self.bodies)} bodies, {len(self.mesh.cells)} cells, "
+                f"{len(self.mesh.points)} vertices, {len(self.layer.owner)} mirror vertices",
+                *parts,
+                f"consistency: largest int g {self.correction['before']:.1e} -> "
+                f"{self.correction['after']:.1e} of int w / h in {self.correction['iterations']} iterations",
+                f"negative weights: {negative} particles see one, the least is {least:.3g}",
+                f"vertices left out for lack of mass: {self.dropped_vertices} in {self.steps} steps, "
+                f"momentum lost there: {self.lost_momentum:.2e}",
+                f"particles put back on a wall: {self.wall_hits}",
+            ]
+        )
+
+
+def cell_sizes(mesh):
+    """(nc,) least mean edge length among the vertices of each cell."""
+    size = mean_edge_length(mesh.points, mesh.adjacency_start, mesh.adjacency)
+    return size[mesh.cells].min(axis=1)
+
+
+def wall_facets(mesh, layer):
+    """(nc, d + 1) bool: facets on walls, by the vertex opposite."""
+    walled = {tuple(sorted(f)) for f in mesh.exterior_facets.tolist()} - {
+        tuple(sorted(f)) for f in layer.open_facets.tolist()
+    }
+    out = np.zeros(mesh.cells.shape, bool)
+    for c, q in zip(*np.nonzero(mesh.neighbours == -1), strict=True):
+        out[c, q] = tuple(sorted(np.delete(mesh.cells[c], q).tolist())) in walled
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def signal_rate(velocity, cell, wave_speed, cell_size):
+    """Largest (c + |v|) / h over the particles."""
+    rate = 0.0
+    for p in range(len(velocity)):
+        square = 0.0
+        for a in range(velocity.shape[1]):
+            square += velocity[p, a] ** 2
+        rate = max(rate, (wave_speed + np.sqrt(square)) / cell_size[cell[p]])
+    return rate
