@@ -49,8 +49,7 @@ def functionspace(mesh, element):
     if isinstance(element, tuple):
         family, degree, shape = (*element, ())[:3]
         make = (ufl.FiniteElement, ufl.VectorElement, ufl.TensorElement)[len(shape)]
-        extra = ({}, {"dim": shape[0] if shape else 0}, {"shape": shape})[len(shape)]
-        element = make(family, mesh.ufl_cell(), degree, **extra)
+        element = make(family, mesh.ufl_cell(), degree, *((shape,) if len(shape) == 2 else shape))
     return fem.FunctionSpace(mesh, element)
 
 
@@ -318,11 +317,14 @@ def read_xdmf_mesh(comm, path, partitioner=None):
     if isinstance(found, Exception):
         raise found
     grids, encoding = found
-    with io.XDMFFile(comm, str(path), "r", getattr(io.XDMFFile.Encoding, encoding)) as file:
+    domain = "/Xdmf/Domain"
+    with contextlib.ExitStack() as stack:
         try:
-            kind, degree = file.read_cell_type(grids[0][0], "/Xdmf/Domain")
-            cells = file.read_topology_data(grids[0][0], "/Xdmf/Domain")
-            points = file.read_geometry_data(grids[0][0], "/Xdmf/Domain")
+            file = io.XDMFFile(comm, str(path), "r", getattr(io.XDMFFile.Encoding, encoding))
+            stack.enter_context(file)
+            kind, degree = file.read_cell_type(grids[0][0], domain)
+            cells = file.read_topology_data(grids[0][0], domain)
+            points = file.read_geometry_data(grids[0][0], domain)
         except RuntimeError as error:
             # The HDF5 in the wheel of 0.11 cannot decompress, and meshio compresses by default.
             raise ValueError(

@@ -12,14 +12,14 @@ from . import compat
 _SIMPLEX = (15, 1, 2, 4)
 
 
-def read_gmsh(comm, path, size=None):
+def read_gmsh(comm, path, parameters):
     """Read a .msh file, or mesh a .geo file, with Gmsh on rank 0. Collective.
 
     Parameters
     ----------
     comm : mpi4py.MPI.Comm
     path : pathlib.Path
-    size : number, overrides the variable `h` of a .geo file
+    parameters : dict of numbers that override variables of a .geo file
 
     Returns
     -------
@@ -32,12 +32,12 @@ def read_gmsh(comm, path, size=None):
     ImportError, ValueError
         on all ranks, if there is no package gmsh or the file is no mesh of simplices
     """
-    mesh, _, facet_tags, names = _make_mesh(comm, 0, lambda: _file_arrays(path, size))
+    mesh, _, facet_tags, names = _make_mesh(comm, 0, lambda: _file_arrays(path, parameters))
     fdim = mesh.topology.dim - 1
     return mesh, facet_tags, {name: tag for (dim, name), tag in names.items() if dim == fdim}
 
 
-def _file_arrays(path, size):
+def _file_arrays(path, parameters):
     try:
         import gmsh
     except (ImportError, OSError) as error:
@@ -50,7 +50,7 @@ def _file_arrays(path, size):
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         try:
-            _open(gmsh, path, size)
+            _open(gmsh, path, parameters)
             dim = gmsh.model.getDimension()
             if path.suffix == ".geo" and dim > 0:
                 gmsh.model.mesh.generate(dim)
@@ -64,16 +64,22 @@ def _file_arrays(path, size):
         gmsh.finalize()
 
 
-def _open(gmsh, path, size):
-    if size is None:
+def _open(gmsh, path, parameters):
+    if not parameters:
         gmsh.open(str(path))
         return
-    if not re.search(r"(DefineConstant\s*\[[^;]*?|Exists\s*\(\s*)\bh\b", path.read_text()):
-        raise ValueError("it has no variable h to be set: write DefineConstant[h = 0.1];")
+    # Gmsh ends the process for such mesh sizes.
+    if not 0 < parameters.get("h", 1) < float("inf"):
+        raise ValueError(f"the mesh size h = {parameters['h']} is not positive")
+    text = path.read_text()
+    for name in parameters:
+        if not re.search(rf"(DefineConstant\s*\[[^;]*?|Exists\s*\(\s*)\b{name}\b", text):
+            raise ValueError(f"it has no variable {name} to be set: write DefineConstant[{name} = 0.1];")
     # Gmsh 4.8 has no other way to set a variable that does not last for the files read later.
     with tempfile.TemporaryDirectory() as folder:
         wrapper = Path(folder) / path.name
-        wrapper.write_text(f'h = {float(size)!r};\nInclude "{path.resolve()}";\n')
+        lines = [f"{name} = {float(value)!r};" for name, value in parameters.items()]
+        wrapper.write_text("\n".join([*lines, f'Include "{path.resolve()}";\n']))
         gmsh.open(str(wrapper))
 
 
@@ -155,7 +161,7 @@ def model_arrays(model, gdim):
     names = {key: int(tag) for key, tag in names.items() if key[1]}
     cells, cell_groups = _group_elements(model, tdim)
     if len(cells) == 0:
-        raise ValueError("it holds no mesh cells (a Gmsh model must be meshed with mesh.generate)")
+        raise ValueError(f"it holds no mesh cells of dimension {tdim}, that of its geometry")
 
     # Node tags may have gaps, and some nodes may belong to no cell.
     tags, coordinates, _ = model.mesh.getNodes()

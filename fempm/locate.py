@@ -148,15 +148,17 @@ def walk(axes, first, last, x, cell, cells, points, inverse, neighbours, wall_fa
             c = neighbours[c, q]
         if status[p] != FOUND:
             found = -1
-            if b[0] == b[0]:
+            finite = np.isfinite(b[0])
+            if finite:
                 found = search_one(axes, x[p], cells, points, inverse, *bins)
             if found >= 0:
                 c = found
                 status[p] = FOUND
-            elif status[p] == ON_WALL:
+            elif finite and status[p] == ON_WALL:
                 put_back(axes, b, x[p], c, cells, points)
                 counts[0] += 1
             else:
+                status[p] = LOST
                 counts[1] += 1
         cell[p] = c
 

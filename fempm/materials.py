@@ -41,7 +41,7 @@ class Elastic:
         return np.sqrt((lam + 2 * mu) / self.density)
 
     def kirchhoff_stress(self, deformation_gradient, out):
-        """Write tau (n, d, d) to `out`; returns the number of the first particle with det F <= 0, or -1."""
+        """Write tau (n, d, d) to `out`; returns the first particle with det F not in (0, inf), or -1."""
         return self._stress(deformation_gradient, *self.lame, out)
 
     def energy(self, deformation_gradient):
@@ -89,12 +89,15 @@ class Hencky(Elastic):
     def kirchhoff_stress(self, deformation_gradient, out):
         lam, mu = self.lame
         f = deformation_gradient
+        j = np.linalg.det(f)
+        bad = np.flatnonzero(~((j > 0) & (j < np.inf)))
+        if len(bad):  # eigh raises an error of its own where a number is not finite
+            return int(bad[0])
         squares, axes = np.linalg.eigh(f @ np.swapaxes(f, 1, 2))
-        bad = np.flatnonzero(~(np.linalg.det(f) > 0))
         logs = 0.5 * np.log(np.maximum(squares, 1e-300))
         principal = 2 * mu * logs + lam * logs.sum(axis=1, keepdims=True)
         np.einsum("nik,nk,njk->nij", axes, principal, axes, out=out)
-        return int(bad[0]) if len(bad) else -1
+        return -1
 
     def _energy(self, f, lam, mu):
         logs = np.log(np.linalg.svd(f, compute_uv=False))
@@ -127,7 +130,7 @@ class WeaklyCompressibleFluid:
         return np.sqrt(self.bulk / self.density)
 
     def kirchhoff_stress(self, deformation_gradient, out):
-        """Write tau (n, d, d) to `out`; returns the number of the first particle with det F <= 0, or -1."""
+        """Write tau (n, d, d) to `out`; returns the first particle with det F not in (0, inf), or -1."""
         return fluid_stress(deformation_gradient, self.bulk, self.gamma, out)
 
     def energy(self, deformation_gradient):
@@ -159,7 +162,7 @@ def linear_stress(f, lam, mu, out):
     n, d, _ = f.shape
     bad = -1
     for p in range(n):
-        if bad < 0 and not determinant(f[p]) > 0:
+        if bad < 0 and not 0 < determinant(f[p]) < np.inf:
             bad = p
         trace = -float(d)
         for a in range(d):
@@ -180,7 +183,7 @@ def neo_hookean_stress(f, lam, mu, out):
     bad = -1
     for p in range(n):
         j = determinant(f[p])
-        if bad < 0 and not j > 0:
+        if bad < 0 and not 0 < j < np.inf:
             bad = p
         pressure = lam * np.log(j) - mu
         for a in range(d):
@@ -201,7 +204,7 @@ def st_venant_kirchhoff_stress(f, lam, mu, out):
     bad = -1
     s = np.empty((d, d))
     for p in range(n):
-        if bad < 0 and not determinant(f[p]) > 0:
+        if bad < 0 and not 0 < determinant(f[p]) < np.inf:
             bad = p
         trace = 0.0
         for a in range(d):
@@ -231,7 +234,7 @@ def fluid_stress(f, bulk, gamma, out):
     bad = -1
     for p in range(n):
         j = determinant(f[p])
-        if bad < 0 and not j > 0:
+        if bad < 0 and not 0 < j < np.inf:
             bad = p
         pressure = bulk / gamma * (j ** (1 - gamma) - j)
         for a in range(d):

@@ -49,9 +49,7 @@ class SimplexMesh:
             self.global_vertices, self.global_cells = np.arange(nv), np.arange(nc)
         edges = self.points[self.cells[:, 1:]] - self.points[self.cells[:, :1]]
         determinant = np.linalg.det(edges)
-        flat = np.flatnonzero(
-            np.abs(determinant) <= 1e-14 * np.ptp(self.points, axis=0).max() ** self.dim
-        )
+        flat = np.flatnonzero(np.abs(determinant) <= 1e-14 * np.ptp(self.points, axis=0).max() ** self.dim)
         if len(flat):
             c = flat[0]
             raise ValueError(
@@ -80,9 +78,7 @@ class SimplexMesh:
     def facets(self, name):
         """(nf, d) int32 vertices of the facets of a named boundary; KeyError names those there are."""
         if name not in self.boundaries:
-            raise KeyError(
-                f"unknown boundary tag {name!r}: this mesh has {sorted(self.boundaries)}"
-            )
+            raise KeyError(f"unknown boundary tag {name!r}: this mesh has {sorted(self.boundaries)}")
         return self.boundaries[name]
 
 
@@ -115,18 +111,14 @@ def vertex_adjacency(cells, num_vertices):
     start = np.searchsorted(unique, np.arange(num_vertices + 1, dtype=np.int64) * num_vertices)
     empty = np.flatnonzero(np.diff(start) == 0)
     if len(empty):
-        raise ValueError(
-            f"vertex {empty[0]} belongs to no cell: remove unused points from the mesh"
-        )
+        raise ValueError(f"vertex {empty[0]} belongs to no cell: remove unused points from the mesh")
     return start, (unique % num_vertices).astype(np.int32)
 
 
 def mean_edge_length(points, start, adjacent):
     """(nv,) mean distance of each vertex to its neighbours in the CSR lists."""
     count = np.diff(start)
-    length = np.linalg.norm(
-        points[adjacent] - np.repeat(points[: len(count)], count, axis=0), axis=1
-    )
+    length = np.linalg.norm(points[adjacent] - np.repeat(points[: len(count)], count, axis=0), axis=1)
     return np.add.reduceat(length, start[:-1]) / count
 
 
@@ -156,9 +148,7 @@ def from_dolfinx(mesh, facet_tags=None, names=None, boundaries=None):
 
     kind = compat.cell_kind(mesh)
     if kind not in SIMPLICES:
-        raise ValueError(
-            f"mesh of {kind} cells: only simplex meshes ({', '.join(SIMPLICES)}) are supported"
-        )
+        raise ValueError(f"mesh of {kind} cells: only simplex meshes ({', '.join(SIMPLICES)}) are supported")
     if compat.geometry_degree(mesh) != 1:
         raise ValueError(
             f"mesh geometry of degree {compat.geometry_degree(mesh)}: only straight-sided cells (degree 1)"
@@ -180,7 +170,9 @@ def from_dolfinx(mesh, facet_tags=None, names=None, boundaries=None):
     )
     if facet_tags is not None:
         called = {value: name for name, value in (names or {}).items()}
-        for value in np.unique(facet_tags.values):
+        # Collective: a rank without facets of a boundary has to know its name as well.
+        values = set().union(*mesh.comm.allgather(set(facet_tags.values.tolist())))
+        for value in sorted(values):
             facets = facet_tags.indices[facet_tags.values == value]
             wrapped.boundaries[called.get(value, str(value))] = compat.facet_vertices(mesh, facets)
     for name, predicate in (boundaries or {}).items():
@@ -195,16 +187,18 @@ def mark_boundary(mesh, name, predicate):
     if len(facets) == 0:
         raise ValueError(f"boundary {name!r}: its predicate holds on no exterior facet")
     mesh.boundaries[name] = facets
+    return mesh
 
 
-def read_mesh(path, boundaries=None, size=None):
+def read_mesh(path, boundaries=None, **parameters):
     """Read a gmsh .geo or .msh file, or an XDMF file.
 
     Parameters
     ----------
     path : file; a .geo file is meshed by gmsh (package `gmsh`), with the options set in it
     boundaries : as in `from_dolfinx`; physical groups and mesh tags are named as in the file
-    size : number, overrides the variable `h` of a .geo file that has `DefineConstant[h = ...];`
+    parameters : numbers that override variables of a .geo file, such as its mesh size: h=0.1 where the
+        file has `DefineConstant[h = ...];`
 
     Raises
     ------
@@ -221,13 +215,13 @@ def read_mesh(path, boundaries=None, size=None):
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"mesh file {path} does not exist")
-    if size is not None and (path.suffix != ".geo" or not size > 0):
-        raise ValueError(f"{path}: size {size!r} must be positive, and for a .geo file")
+    if parameters and path.suffix != ".geo":
+        raise ValueError(f"{path}: parameters ({', '.join(parameters)}) can only be set in a .geo file")
     if path.suffix == ".xdmf":
         mesh, _, facet_tags = compat.read_xdmf_mesh(MPI.COMM_WORLD, path)
         names = None
     elif path.suffix in (".geo", ".msh"):
-        mesh, facet_tags, names = gmsh_reader.read_gmsh(MPI.COMM_WORLD, path, size)
+        mesh, facet_tags, names = gmsh_reader.read_gmsh(MPI.COMM_WORLD, path, parameters)
     else:
         raise ValueError(f"{path}: unknown mesh format {path.suffix!r}, give .geo, .msh or .xdmf")
     return from_dolfinx(mesh, facet_tags, names, boundaries)

@@ -32,7 +32,7 @@ class Body:
     def __post_init__(self):
         self.position = np.atleast_2d(np.asarray(self.position, float))
         n, d = self.position.shape
-        if n == 0:
+        if self.position.size == 0:
             raise ValueError(f"body {self.name!r} has no particles")
         self.volume = np.broadcast_to(np.asarray(self.volume, float), n)
         if not self.volume.min() > 0:

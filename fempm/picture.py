@@ -33,7 +33,7 @@ def snapshot(path, x, values=None, mesh=None, label="", title="", limits=None):
     ImportError
         If matplotlib is missing.
     """
-    _strip(path, [(title, x, values)], mesh, label, limits)
+    return _strip(path, [(title, x, values)], mesh, label, limits)
 
 
 def snapshot_strip(path, frames, mesh=None, label=""):
@@ -51,7 +51,7 @@ def snapshot_strip(path, frames, mesh=None, label=""):
     ImportError
         If matplotlib is missing.
     """
-    _strip(path, [(f"t = {t:.4g} s", x, values) for t, x, values in frames], mesh, label, None)
+    return _strip(path, [(f"t = {t:.4g} s", x, values) for t, x, values in frames], mesh, label, None)
 
 
 def convergence_plot(path, sizes, errors, ylabel, reference_orders=(1, 2)):
@@ -98,7 +98,7 @@ def convergence_plot(path, sizes, errors, ylabel, reference_orders=(1, 2)):
     ax.grid(True, which="both", color="0.93", lw=0.6)
     ax.set(xlabel="mesh size h in m", ylabel=ylabel)
     ax.legend(frameon=False)
-    _save(figure, path)
+    return _save(figure, path)
 
 
 def _figure(width, height):
@@ -115,6 +115,7 @@ def _figure(width, height):
 def _save(figure, path):
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, format="png", bbox_inches="tight")
+    return path
 
 
 def _strip(path, panels, mesh, label, limits):
@@ -155,7 +156,7 @@ def _strip(path, panels, mesh, label, limits):
         figure.colorbar(colours, ax=axes, label=label, shrink=0.85, pad=0.02)
     elif d == 1:
         axes[0].set_ylabel(label)
-    _save(figure, path)
+    return _save(figure, path)
 
 
 def _finite(x, values):

@@ -1,0 +1,47 @@
+"""A compressed elastic body is released inside a sphere and expands against its wall (thesis 2.3.5)."""
+
+from pathlib import Path
+
+import numpy as np
+
+import fempm
+from fempm.cli import print_files, scene_arguments
+from fempm.picture import snapshot_strip
+
+MESHES = Path(__file__).parent.parent / "meshes"
+
+
+def main(argv=None):
+    args = scene_arguments(
+        __doc__,
+        argv,
+        h=(0.07, "mesh size of the sphere in m (thesis: 0.025)"),
+        body_h=(0.05, "mesh size of the body in m"),
+        until=(0.02, "end of the run in s"),
+        wall=(("slip", "sticky"), "what the body does at the wall"),
+        cfl=(0.3, "time step over cell size / (wave speed + particle speed)"),
+    )
+    mesh = fempm.read_mesh(MESHES / "sphere.geo", h=args.h)
+    shape = fempm.read_mesh(MESHES / "metatron.geo", h=args.body_h, R=0.42)
+    rubber = fempm.NeoHookean(density=1000.0, young=3.3e6, poisson=0.49)
+    body = fempm.Body(*fempm.fill_cells(shape, 8), rubber, deformation_gradient=0.75 * np.eye(3))
+    scene = fempm.Simulation(
+        mesh, [body], [fempm.Wall("wall", args.wall)], transfer="flip", cfl=args.cfl, threads=args.threads
+    )
+    print(scene.report())
+    record = fempm.run(scene, args.until, args.output, frames=20)
+    moments = [(t, x, np.linalg.norm(v, axis=1)) for t, x, v in record.frames[:: len(record.frames) // 4]]
+    picture = snapshot_strip(f"{args.output}.png", moments, label="speed (m/s)")
+    log, p = record.log, scene.particles
+    reach = np.linalg.norm(p.position, axis=1).max()
+    total = log["total"] / log["total"][0]
+    print(f"{scene.steps} steps, energy between {total.min():.3f} and {total.max():.3f} of its start")
+    print(
+        f"largest radius {reach:.4f} m of 0.5 m, {scene.wall_hits} times a particle was put back on the wall"
+    )
+    print_files([*record.files, picture])
+    return {"energy": total, "reach": reach, "record": record}
+
+
+if __name__ == "__main__":
+    main()
