@@ -40,11 +40,10 @@ def main(argv=None):
     drift = np.abs(linear_momentum(scene)).max() / (p.mass @ np.linalg.norm(p.velocity, axis=1))
     moments = [(t, x, np.linalg.norm(v, axis=1)) for t, x, v in record.frames[8:15:3]]
     picture = snapshot_strip(f"{args.output}.png", moments, label="speed (m/s)")
+    kinetic = log["kinetic"][-1] / log["kinetic"][0]
+    print(f"total momentum off by {drift:.1e} of sum m |v|; the left disk recovers {100 * recovered:.1f} %")
     print(
-        f"total momentum off by {drift:.1e} of sum m |v|; left disk recovers {100 * recovered:.1f} % of its"
-    )
-    print(
-        f"momentum, kinetic energy {100 * log['kinetic'][-1] / log['kinetic'][0]:.1f} % of its start, total {100 * energy[-1]:.1f} %"
+        f"of its momentum; kinetic energy {100 * kinetic:.1f} %, total {100 * energy[-1]:.1f} % of the start"
     )
     print_files([*record.files, picture])
     return {"drift": drift, "recovered": recovered, "energy": energy[-1], "record": record}

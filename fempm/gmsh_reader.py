@@ -65,6 +65,12 @@ def _file_arrays(path, parameters):
 
 
 def _open(gmsh, path, parameters):
+    # Gmsh's parser stumbles over the rest of a foreign file when it reads the next one.
+    data = path.read_bytes()
+    if path.suffix == ".msh" and not data.lstrip().startswith(b"$"):
+        raise ValueError("it does not start with a section like $MeshFormat")
+    if path.suffix == ".geo" and any(byte < 32 and byte not in b"\t\n\r\f" for byte in data):
+        raise ValueError("it is not a text file")
     if not parameters:
         gmsh.open(str(path))
         return

@@ -42,6 +42,12 @@ class Body:
             )
         v = self.velocity(self.position) if callable(self.velocity) else self.velocity
         self.velocity = np.broadcast_to(np.asarray(v, float), (n, d))
+        unset = np.flatnonzero(~np.isfinite(self.velocity).all(axis=1))
+        if len(unset):
+            raise ValueError(
+                f"body {self.name!r}: particle {unset[0]} at {self.position[unset[0]]} has velocity "
+                f"{self.velocity[unset[0]]}"
+            )
         f = np.eye(d) if self.deformation_gradient is None else self.deformation_gradient
         self.deformation_gradient = np.broadcast_to(np.asarray(f, float), (n, d, d))
         j = np.linalg.det(self.deformation_gradient)
@@ -97,14 +103,18 @@ def join_bodies(bodies, dim, apic):
     for body in bodies:
         if body.position.shape[1] != dim:
             raise ValueError(f"body {body.name!r} has {body.position.shape[1]} coordinates, the mesh {dim}")
+
+    def join(arrays):  # in C order, which np.concatenate does not keep where one value was broadcast
+        return np.ascontiguousarray(np.concatenate(arrays))
+
     count = np.cumsum([0] + [len(b.position) for b in bodies])
-    f = np.concatenate([b.deformation_gradient for b in bodies])
+    f = join([b.deformation_gradient for b in bodies])
     volume = np.concatenate([b.volume for b in bodies]) / np.linalg.det(f)
     density = np.repeat([b.material.density for b in bodies], np.diff(count))
     n = len(volume)
     return Particles(
-        np.concatenate([b.position for b in bodies]),
-        np.concatenate([b.velocity for b in bodies]),
+        join([b.position for b in bodies]),
+        join([b.velocity for b in bodies]),
         density * volume,
         volume,
         f,

@@ -59,7 +59,15 @@ def run(
     ------
     SimulationError, LostParticles
         with time and place; the state at that time is written to <output>_last.xdmf
+    ValueError
+        for a final time before the current one, a time step that is not positive, or no frames
     """
+    if not until >= simulation.time:
+        raise ValueError(f"until {until}: the simulation is at time {simulation.time} already")
+    if dt is not None and not dt > 0:
+        raise ValueError(f"dt {dt}: the time step must be positive")
+    if frames < 1 or log_every < 1:
+        raise ValueError(f"frames {frames}, log_every {log_every}: give at least 1 each")
     record = Record()
     writers = Writers(simulation, output, record)
     bar = Progress(until) if progress else None

@@ -3,9 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from dolfinx.mesh import create_box
 from matplotlib.tri import Triangulation
-from mpi4py import MPI
 
 import fempm
 
@@ -39,6 +37,12 @@ def rectangle(nx, ny, lx=1.0, ly=1.0, jitter=0.2, seed=0):
 
 def cube(n):
     """Unit cube of n^3 x 6 tetrahedra."""
+    from fempm import compat  # noqa: F401, the wheels of 0.11 need it before DOLFINx and MPI
+
+    # isort: split
+    from dolfinx.mesh import create_box
+    from mpi4py import MPI
+
     return fempm.from_dolfinx(create_box(MPI.COMM_WORLD, [[0.0] * 3, [1.0] * 3], [n] * 3))
 
 

@@ -59,6 +59,20 @@ def test_unknown_options():
         Simulation(mesh, bodies, [Wall("flor")])
 
 
+def test_options_of_run():
+    """Runs that could not advance are refused before anything is written."""
+    s = Simulation(rectangle(4, 4), [block()])
+    with pytest.raises(ValueError, match="until -1: the simulation is at time 0.0 already"):
+        run(s, -1)
+    for dt in (0.0, -0.1, np.nan):
+        with pytest.raises(ValueError, match=f"dt {dt}: the time step must be positive"):
+            run(s, 1, dt=dt)
+    for options in ({"frames": 0}, {"log_every": 0}):
+        with pytest.raises(ValueError, match="frames .*, log_every .*: give at least 1 each"):
+            run(s, 1, **options)
+    assert s.steps == 0
+
+
 def test_walls_that_share_a_facet():
     """Both walls and the facet are named; a boundary inside the mesh is none."""
     mesh = mark_boundary(rectangle(4, 4, jitter=0), "floor", lambda x: x[1] < 1e-9)

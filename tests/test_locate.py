@@ -72,6 +72,20 @@ def test_walking_equals_searching(name):
     assert s.wall_hits == 0
 
 
+@pytest.mark.parametrize("name", ["1D", "gmsh 2D", "jittered 2D", "3D"])
+def test_walking_alone(name):
+    """In convex Delaunay meshes walks always arrive: they do so when the search has nothing to search."""
+    mesh = BUILD[name]()
+    start, _ = random_points(mesh, 500, seed=1)
+    end, cell = random_points(mesh, 500, seed=2)
+    s = scene(mesh, start)
+    lower, size, per_axis, first, content = s.bins
+    s.bins = lower, size, per_axis, np.zeros_like(first), content
+    s.particles.position[:] = end
+    s.locate_particles()
+    np.testing.assert_array_equal(s.particles.cell, cell)
+
+
 def test_walk_longer_than_its_limit():
     """Across more cells than a walk may cross, the search over all cells takes over."""
     mesh = fempm.interval_mesh(np.linspace(0, 1, 4 * MAX_WALK + 1))

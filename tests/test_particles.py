@@ -91,6 +91,8 @@ def test_messages_of_bodies():
     f[2, 0, 0] = -1
     with pytest.raises(ValueError, match=r"body 'ball': particle 2 starts inverted, det F = -1"):
         Body(x, 1.0, SOFT, deformation_gradient=f, name="ball")
+    with pytest.raises(ValueError, match=r"body 'ball': particle 1 at \[0\. 0\.\] has velocity \[ 0\. nan\]"):
+        Body(x, 1.0, SOFT, velocity=lambda x: [[0, 0], [0, np.nan], [np.inf, 0]], name="ball")
     with pytest.raises(ValueError, match="body 'ball' has 2 coordinates, the mesh 3"):
         join_bodies([Body(x, 1.0, SOFT, name="ball")], 3, False)
     with pytest.raises(ValueError, match="at least one body"):
@@ -119,6 +121,16 @@ def test_several_bodies():
     pressure = 1.0 / 7.0 * (0.4**-7 - 1)
     np.testing.assert_allclose(p.cauchy_stress[n:], np.tile(-pressure * np.eye(2), (n, 1, 1)), rtol=1e-12)
     assert np.all(p.stress[:n] == 0)
+
+
+@pytest.mark.parametrize("velocity", [0.0, (1.0, 2.0), lambda x: x], ids=["zero", "uniform", "function"])
+def test_arrays_are_contiguous(velocity):
+    """Whatever a body was given: otherwise loops are compiled once more and stride through memory."""
+    body = Body(*fill_box((0, 0), (1, 1), 0.25), SOFT, velocity)
+    for bodies in ([body], [body, body]):
+        p = join_bodies(bodies, 2, True)
+        arrays = (p.position, p.velocity, p.mass, p.volume, p.deformation_gradient, p.stress, p.affine)
+        assert all(a.flags.c_contiguous and a.flags.writeable for a in arrays)
 
 
 def test_simulation_leaves_the_body_alone():

@@ -22,8 +22,8 @@ def scene(d, transfer, threads):
         Body(*ball, NeoHookean(1.0, 10.0, 0.3), velocity=turning),
         Body(*drop, WeaklyCompressibleFluid(1.0, 10.0)),
     ]
-    gravity = -np.eye(d)[-1]
-    options = {"gravity": gravity, "transfer": transfer, "threads": threads}
+    gradient = "consistent" if d == 2 else "plain"
+    options = {"gravity": -np.eye(d)[-1], "transfer": transfer, "gradient": gradient, "threads": threads}
     return Simulation(mesh, bodies, [Wall("boundary", "slip")], body_force=lambda x, t: 0.5 - x, **options)
 
 
