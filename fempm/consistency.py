@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from .simplex import quadrature
-from .weights import MAX_RING, ROWS, D, R, W, barycentric, gather_ring, weights
+from .weights import MAX_RING, ROW, SIZE, D, R, W, barycentric, gather_ring, weights
 
 
 def correct(kernel, mesh, layer, tolerance=1e-11, max_iterations=300):
@@ -235,16 +235,15 @@ def integrate(
 ):
     """Add the integrals of all cells to K, r and int w."""
     dim = len(axes)
-    s = np.empty((ROWS, MAX_RING))
+    s = np.empty(SIZE)
     local = np.empty((MAX_RING, MAX_RING))
     g = np.empty((3, MAX_RING))
     x = np.empty(dim)
     b = np.empty(4)
-    plain = np.zeros((0, dim))
     for c in range(len(cells)):
         first = ring_start[c]
         n = ring_start[c + 1] - first
-        padded = gather_ring(axes, s, c, ring_start, ring_vertex, ring_mask, points, inverse_support, plain)
+        padded = gather_ring(axes, s, c, ring_start, ring_vertex, ring_mask, points, inverse_support, None)
         local[:n, :n] = 0.0
         for i in range(len(rule)):
             for a in range(dim):
@@ -252,26 +251,26 @@ def integrate(
                 for q in range(dim + 1):
                     x[a] += rule[i, q] * points[cells[c, q], a]
             barycentric(axes, b, x, c, cells, points, inverse)
-            m, k_inv, _ = weights(axes, s, padded, x, b, False)
+            m, k_inv, _ = weights(axes, s, padded, x, b, None)
             dv = rule_weights[i] * volumes[c]
             for k in range(n):
                 v = ring_vertex[first + k]
-                volume[v] += dv * s[W, k]
+                volume[v] += dv * s[W + k]
                 for a in range(dim):
                     t = 0.0
                     for e in range(dim):
-                        t += k_inv[3 * a + e] * (s[R + e, k] - m[e])
-                    g[a, k] = dv * s[D, k] * t
+                        t += k_inv[3 * a + e] * (s[R + e * ROW + k] - m[e])
+                    g[a, k] = dv * s[D + k] * t
                     integral[v, a] += g[a, k]
-                wk = dv * s[W, k]
+                wk = dv * s[W + k]
                 local[k, k] -= wk
                 for j in range(n):
-                    t = wk + g[0, k] * s[R, j]
+                    t = wk + g[0, k] * s[R + j]
                     if dim > 1:
-                        t += g[1, k] * s[R + 1, j]
+                        t += g[1, k] * s[R + ROW + j]
                     if dim > 2:
-                        t += g[2, k] * s[R + 2, j]
-                    local[k, j] += t * s[W, j]
+                        t += g[2, k] * s[R + 2 * ROW + j]
+                    local[k, j] += t * s[W + j]
         for k in range(n):
             v = ring_vertex[first + k]
             at = row_start[v]

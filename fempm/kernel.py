@@ -12,7 +12,7 @@ from numba import njit
 
 from .mesh import mean_edge_length
 from .walls import attached_adjacency
-from .weights import MAX_RING, PHI, ROWS, D, R, W, barycentric, gather_ring, weights
+from .weights import MAX_RING, PHI, ROW, SIZE, D, R, W, barycentric, gather_ring, weights
 
 # smaller is more accurate, larger has fewer negative weights (README, "Where the numbers come from")
 SUPPORT = {1: 1.0, 2: 1.1, 3: 1.1}
@@ -61,7 +61,7 @@ class Kernel:
             self.ring_mask,
             self.points,
             self.inverse_support,
-            self.phi,
+            self.phi if len(self.phi) else None,
         )
 
 
@@ -90,11 +90,11 @@ def build_kernel(mesh, layer, support=None, diminishing=True):
     size = np.where(is_open, inner_size(mesh, size, is_open), size)[owner]
     ring_start = count_rings(mesh.cells, start, adjacent, len(points))
     longest = np.diff(ring_start).max()
-    if longest > MAX_RING - 8:
+    if longest > MAX_RING:
         cell = int(np.diff(ring_start).argmax())
         raise ValueError(
             f"cell {cell} at {mesh.points[mesh.cells[cell]].mean(axis=0)} has {longest} ring vertices, "
-            f"at most {MAX_RING - 8} are supported: mesh again without such stars of thin cells"
+            f"at most {MAX_RING} are supported: mesh again without such stars of thin cells"
         )
     ring_vertex, ring_mask = fill_rings(mesh.cells, start, adjacent, ring_start, len(points))
     if not diminishing:
@@ -207,22 +207,21 @@ def tabulate(
     g,
 ):
     """Loop of `evaluate_many`."""
-    s = np.empty((ROWS, MAX_RING))
+    s = np.empty(SIZE)
     b = np.empty(4)
-    consistent = len(phi) > 0
     for p in range(len(x)):
         n = gather_ring(axes, s, cell[p], ring_start, ring_vertex, ring_mask, points, inverse_support, phi)
         barycentric(axes, b, x[p], cell[p], cells, points, inverse)
-        m, q, phi_bar = weights(axes, s, n, x[p], b, consistent)
+        m, q, phi_bar = weights(axes, s, n, x[p], b, phi)
         for k in range(ring_start[cell[p] + 1] - ring_start[cell[p]]):
-            w[p, k] = s[W, k]
+            w[p, k] = s[W + k]
             for a in range(len(axes)):
                 t = 0.0
                 for c in range(len(axes)):
-                    t += q[3 * a + c] * (s[R + c, k] - m[c])
-                g[p, k, a] = s[D, k] * t
-                if consistent:
-                    g[p, k, a] += s[W, k] * (phi_bar[a] - s[PHI + a, k])
+                    t += q[3 * a + c] * (s[R + c * ROW + k] - m[c])
+                g[p, k, a] = s[D + k] * t
+                if phi is not None:
+                    g[p, k, a] += s[W + k] * (phi_bar[a] - s[PHI + a * ROW + k])
 
 
 def check_cells(kernel, mesh):
@@ -252,13 +251,13 @@ def largest_weight(
     axes, x, cells, inverse, ring_start, ring_vertex, ring_mask, points, inverse_support, phi, out
 ):
     """Largest |w| at one point of every cell."""
-    s = np.empty((ROWS, MAX_RING))
+    s = np.empty(SIZE)
     b = np.empty(4)
     for c in range(len(cells)):
         n = gather_ring(axes, s, c, ring_start, ring_vertex, ring_mask, points, inverse_support, phi)
         barycentric(axes, b, x[c], c, cells, points, inverse)
-        weights(axes, s, n, x[c], b, False)
-        out[c] = np.abs(s[W, :n]).max()
+        weights(axes, s, n, x[c], b, None)
+        out[c] = np.abs(s[W : W + n]).max()
 
 
 @njit(cache=True, error_model="numpy")
@@ -277,10 +276,10 @@ def smallest_weight(
     out,
 ):
     """Least weight at every point."""
-    s = np.empty((ROWS, MAX_RING))
+    s = np.empty(SIZE)
     b = np.empty(4)
     for p in range(len(x)):
         n = gather_ring(axes, s, cell[p], ring_start, ring_vertex, ring_mask, points, inverse_support, phi)
         barycentric(axes, b, x[p], cell[p], cells, points, inverse)
-        weights(axes, s, n, x[p], b, False)
-        out[p] = s[W, :n].min()
+        weights(axes, s, n, x[p], b, None)
+        out[p] = s[W : W + n].min()

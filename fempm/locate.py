@@ -121,17 +121,20 @@ def search_one(axes, x, cells, points, inverse, lower, inverse_size, per_axis, s
 def walk(axes, first, last, x, cell, cells, points, inverse, neighbours, wall_facet, bins, status, counts):
     """Move particles first..last-1 to their cells, stepping across the most negative facet.
 
-    A particle that steps through a wall is put back onto it (`counts[0]` of them). Where the walk ends
-    at an open facet or runs too long, all cells of the particle's bin are tried; a particle in none
-    of them gets status LOST (`counts[1]`).
+    A particle that steps through a wall, by less than the height of the cell there, is put back onto
+    it (`counts[0]` of them). Where the walk ends at an open facet or runs too long, all cells of the
+    particle's bin are tried; a particle in none of them gets status LOST (`counts[1]`).
     """
     b = np.empty(4)
+    y = np.empty(len(axes))
     corners = len(axes) + 1
     for p in range(first, last):
+        for a in range(len(axes)):  # a copy, as a view x[p] would count references
+            y[a] = x[p, a]
         c = cell[p]
         status[p] = LOST
         for _ in range(MAX_WALK):
-            barycentric(axes, b, x[p], c, cells, points, inverse)
+            barycentric(axes, b, y, c, cells, points, inverse)
             q = 0
             for i in range(1, corners):
                 if b[i] < b[q]:
@@ -142,7 +145,7 @@ def walk(axes, first, last, x, cell, cells, points, inverse, neighbours, wall_fa
             if not b[q] < INSIDE:  # not a number
                 break
             if neighbours[c, q] < 0:
-                if wall_facet[c, q]:
+                if wall_facet[c, q] and b[q] > -1.0:
                     status[p] = ON_WALL
                 break
             c = neighbours[c, q]
@@ -150,7 +153,7 @@ def walk(axes, first, last, x, cell, cells, points, inverse, neighbours, wall_fa
             found = -1
             finite = np.isfinite(b[0])
             if finite:
-                found = search_one(axes, x[p], cells, points, inverse, *bins)
+                found = search_one(axes, y, cells, points, inverse, *bins)
             if found >= 0:
                 c = found
                 status[p] = FOUND

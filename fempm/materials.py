@@ -143,16 +143,16 @@ kernel_options = {"cache": True, "nogil": True, "error_model": "numpy"}
 
 
 @njit(**kernel_options)
-def determinant(f):
-    """det f of a (d, d) matrix, d <= 3."""
-    if f.shape[0] == 1:
-        return f[0, 0]
-    if f.shape[0] == 2:
-        return f[0, 0] * f[1, 1] - f[0, 1] * f[1, 0]
+def determinant(f, p):
+    """det f[p] of (d, d) matrices, d <= 3; an index, as a view f[p] would count references."""
+    if f.shape[1] == 1:
+        return f[p, 0, 0]
+    if f.shape[1] == 2:
+        return f[p, 0, 0] * f[p, 1, 1] - f[p, 0, 1] * f[p, 1, 0]
     return (
-        f[0, 0] * (f[1, 1] * f[2, 2] - f[1, 2] * f[2, 1])
-        - f[0, 1] * (f[1, 0] * f[2, 2] - f[1, 2] * f[2, 0])
-        + f[0, 2] * (f[1, 0] * f[2, 1] - f[1, 1] * f[2, 0])
+        f[p, 0, 0] * (f[p, 1, 1] * f[p, 2, 2] - f[p, 1, 2] * f[p, 2, 1])
+        - f[p, 0, 1] * (f[p, 1, 0] * f[p, 2, 2] - f[p, 1, 2] * f[p, 2, 0])
+        + f[p, 0, 2] * (f[p, 1, 0] * f[p, 2, 1] - f[p, 1, 1] * f[p, 2, 0])
     )
 
 
@@ -162,7 +162,7 @@ def linear_stress(f, lam, mu, out):
     n, d, _ = f.shape
     bad = -1
     for p in range(n):
-        if bad < 0 and not 0 < determinant(f[p]) < np.inf:
+        if bad < 0 and not 0 < determinant(f, p) < np.inf:
             bad = p
         trace = -float(d)
         for a in range(d):
@@ -182,7 +182,7 @@ def neo_hookean_stress(f, lam, mu, out):
     n, d, _ = f.shape
     bad = -1
     for p in range(n):
-        j = determinant(f[p])
+        j = determinant(f, p)
         if bad < 0 and not 0 < j < np.inf:
             bad = p
         pressure = lam * np.log(j) - mu
@@ -204,7 +204,7 @@ def st_venant_kirchhoff_stress(f, lam, mu, out):
     bad = -1
     s = np.empty((d, d))
     for p in range(n):
-        if bad < 0 and not 0 < determinant(f[p]) < np.inf:
+        if bad < 0 and not 0 < determinant(f, p) < np.inf:
             bad = p
         trace = 0.0
         for a in range(d):
@@ -233,7 +233,7 @@ def fluid_stress(f, bulk, gamma, out):
     n, d, _ = f.shape
     bad = -1
     for p in range(n):
-        j = determinant(f[p])
+        j = determinant(f, p)
         if bad < 0 and not 0 < j < np.inf:
             bad = p
         pressure = bulk / gamma * (j ** (1 - gamma) - j)

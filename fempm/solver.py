@@ -63,6 +63,8 @@ class Simulation:
             raise ValueError(f"gradient {gradient!r}: give 'consistent' or 'plain'")
         if not 0 <= flip <= 1:
             raise ValueError(f"flip {flip}: the share of FLIP lies in [0, 1]")
+        if threads < 1 or not cfl > 0:
+            raise ValueError(f"threads {threads}, cfl {cfl}: both must be positive")
         if mesh.num_owned_cells != len(mesh.cells):
             raise ValueError("this mesh is spread over several ranks: simulations run on one rank for now")
         self.mesh, self.bodies, self.walls = mesh, list(bodies), list(walls)
@@ -144,8 +146,8 @@ class Simulation:
         grid.clear(self.grids, self.vertices, self.num_vertices)
         if self.body_force is not None:
             self.force = p.mass[:, None] * self.body_force(p.position, self.time)
-        fixed = (self.active, self.start, self.order, p.position, p.velocity, p.affine, p.mass)
-        fields = (p.volume, p.stress, self.force, *self.kernel.mesh_arguments)
+        fixed = (self.active, self.start, self.order, p.position, p.velocity, optional(p.affine), p.mass)
+        fields = (p.volume, p.stress, optional(self.force), *self.kernel.mesh_arguments)
 
         def share(thread):
             first, last = self.shares[thread : thread + 2]
@@ -194,12 +196,12 @@ class Simulation:
     def grid_to_particle(self, dt):
         """Velocities, positions and deformation gradients of the particles."""
         p = self.particles
-        fixed = (self.active, self.start, self.order, p.position, p.velocity, p.affine)
+        fixed = (self.active, self.start, self.order, p.position, p.velocity, optional(p.affine))
         fields = (
             p.deformation_gradient,
             *self.kernel.mesh_arguments,
             self.velocity,
-            self.increment,
+            optional(self.increment),
         )
 
         def share(thread):
@@ -224,8 +226,8 @@ class Simulation:
                 i = part.start + bad
                 j = np.linalg.det(p.deformation_gradient[i])
                 raise SimulationError(
-                    f"particle {i} of body {body.name!r} is inverted (det F = {j:.3g}) at time "
-                    f"{self.time:.6g}, step {self.steps}, position {p.position[i]}: "
+                    f"particle {i} of body {body.name!r} has det F = {j:.3g}, inverted or not finite, at "
+                    f"time {self.time:.6g}, step {self.steps}, position {p.position[i]}: "
                     "take a smaller cfl or a finer mesh"
                 )
 
@@ -300,6 +302,11 @@ class Simulation:
                 f"particles put back on a wall: {self.wall_hits}",
             ]
         )
+
+
+def optional(array):
+    """The array, or None if it is empty: compiled code then leaves out what would use it."""
+    return array if len(array) else None
 
 
 def cell_sizes(mesh):

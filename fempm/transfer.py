@@ -8,12 +8,10 @@ import numpy as np
 from numba import njit
 
 from .weights import (
-    FORCE,
-    MASS,
-    MAX_RING,
-    MOM,
+    DU,
     PHI,
-    ROWS,
+    ROW,
+    SIZE,
     D,
     R,
     U,
@@ -54,8 +52,8 @@ def particle_to_grid(
     """Add mass, momentum and force of the particles in active cells first..last-1 to the vertices.
 
     Lines 2-5 of Algorithm 1: m_i = sum w m, p_i = sum w m (v + B D^-1 r_i) (B only with APIC, eq. 2.35),
-    f_i = -sum V tau g_hat + sum w f. Optional per-particle arrays (`affine` B, `force` f) have length 0
-    where the scene does not need them.
+    f_i = -sum V tau g_hat + sum w f. Optional arrays (`affine` B, `force` f, `phi`) are None where
+    the scene does not need them: their branches are then not even compiled.
 
     Parameters
     ----------
@@ -64,27 +62,30 @@ def particle_to_grid(
     grid : (nv, 1 + 2 d) mass, momentum and force, added to
     """
     dim = len(axes)
-    consistent = len(phi) > 0
-    apic = len(affine) > 0
-    forced = len(force) > 0
-    s = np.empty((ROWS, MAX_RING))
+    s = np.empty(SIZE)
+    mass_sum = np.empty(ROW)  # sums of one cell
+    momentum_sum = np.empty((3, ROW))
+    force_sum = np.empty((3, ROW))
     b = np.empty(4)
+    x = np.empty(3)
     for i in range(first, last):
         cell = active[i]
         n = gather_ring(axes, s, cell, ring_start, ring_vertex, ring_mask, points, inverse_support, phi)
-        for row in range(MASS, FORCE + dim):
-            for k in range(n):
-                s[row, k] = 0.0
+        mass_sum[:n] = 0.0
+        momentum_sum[:, :n] = 0.0
+        force_sum[:, :n] = 0.0
         for j in range(start[i], start[i + 1]):
             p = order[j]
-            barycentric(axes, b, position[p], cell, cells, points, inverse)
-            m, q, phi_bar = weights(axes, s, n, position[p], b, consistent)
+            for a in range(dim):  # a copy, as a view position[p] would count references
+                x[a] = position[p, a]
+            barycentric(axes, b, x, cell, cells, points, inverse)
+            m, q, phi_bar = weights(axes, s, n, x, b, phi)
             i00 = i01 = i02 = i11 = i12 = i22 = 0.0
-            if apic:
+            if affine is not None:
                 i00, i01, i02, i11, i12, i22 = inverse_inertia(axes, s, n)
             mp = mass[p]
             for k in range(n):
-                s[MASS, k] += mp * s[W, k]
+                mass_sum[k] += mp * s[W + k]
             for a in range(dim):
                 v = mp * velocity[p, a]
                 t0 = -volume[p] * stress[p, a, 0]
@@ -95,10 +96,10 @@ def particle_to_grid(
                 g2 = t0 * q[2] + t1 * q[5] + t2 * q[8]
                 gm = g0 * m[0] + g1 * m[1] + g2 * m[2]
                 h = t0 * phi_bar[0] + t1 * phi_bar[1] + t2 * phi_bar[2]
-                if forced:
+                if force is not None:
                     h += force[p, a]
                 c0 = c1 = c2 = 0.0
-                if apic:
+                if affine is not None:
                     b0 = mp * affine[p, a, 0]
                     b1 = mp * affine[p, a, 1] if dim > 1 else 0.0
                     b2 = mp * affine[p, a, 2] if dim > 2 else 0.0
@@ -106,37 +107,37 @@ def particle_to_grid(
                     c1 = b0 * i01 + b1 * i11 + b2 * i12
                     c2 = b0 * i02 + b1 * i12 + b2 * i22
                 for k in range(n):
-                    r0 = s[R, k]
+                    r0 = s[R + k]
                     u = v
                     f = g0 * r0 - gm
                     e = h
-                    if apic:
+                    if affine is not None:
                         u += c0 * r0
-                    if consistent:
-                        e -= t0 * s[PHI, k]
+                    if phi is not None:
+                        e -= t0 * s[PHI + k]
                     if dim > 1:
-                        r1 = s[R + 1, k]
+                        r1 = s[R + ROW + k]
                         f += g1 * r1
-                        if apic:
+                        if affine is not None:
                             u += c1 * r1
-                        if consistent:
-                            e -= t1 * s[PHI + 1, k]
+                        if phi is not None:
+                            e -= t1 * s[PHI + ROW + k]
                     if dim > 2:
-                        r2 = s[R + 2, k]
+                        r2 = s[R + 2 * ROW + k]
                         f += g2 * r2
-                        if apic:
+                        if affine is not None:
                             u += c2 * r2
-                        if consistent:
-                            e -= t2 * s[PHI + 2, k]
-                    s[MOM + a, k] += s[W, k] * u
-                    s[FORCE + a, k] += s[D, k] * f + s[W, k] * e
+                        if phi is not None:
+                            e -= t2 * s[PHI + 2 * ROW + k]
+                    momentum_sum[a, k] += s[W + k] * u
+                    force_sum[a, k] += s[D + k] * f + s[W + k] * e
         base = ring_start[cell]
         for k in range(ring_start[cell + 1] - base):
-            v = ring_vertex[base + k]
-            grid[v, 0] += s[MASS, k]
+            vertex = ring_vertex[base + k]
+            grid[vertex, 0] += mass_sum[k]
             for a in range(dim):
-                grid[v, 1 + a] += s[MOM + a, k]
-                grid[v, 1 + dim + a] += s[FORCE + a, k]
+                grid[vertex, 1 + a] += momentum_sum[a, k]
+                grid[vertex, 1 + dim + a] += force_sum[a, k]
 
 
 @njit(**options)
@@ -167,59 +168,58 @@ def grid_to_particle(
     """Update the particles in active cells first..last-1 from the vertices.
 
     Lines 7-8 of Algorithm 1: x += dt sum w v, F += dt (sum v (x) g_hat) F, and
-    v = flip (v + sum w dv) + (1 - flip) sum w v, where `grid_increment` dv has length 0 for PIC and APIC
+    v = flip (v + sum w dv) + (1 - flip) sum w v, where `grid_increment` dv is None for PIC and APIC
     (flip = 0); with APIC, B = sum w v (x) r (eq. 2.36).
     """
     dim = len(axes)
-    consistent = len(phi) > 0
-    apic = len(affine) > 0
-    keep = len(grid_increment) > 0
-    s = np.empty((ROWS, MAX_RING))
+    s = np.empty(SIZE)
     b = np.empty(4)
+    x = np.empty(3)
     gradient = np.empty((3, 3))
     updated = np.empty((3, 3))
-    moved = np.empty(3)
     for i in range(first, last):
         cell = active[i]
         n = gather_ring(axes, s, cell, ring_start, ring_vertex, ring_mask, points, inverse_support, phi)
         base = ring_start[cell]
         for k in range(ring_start[cell + 1] - base):
-            v = ring_vertex[base + k]
+            vertex = ring_vertex[base + k]
             for a in range(dim):
-                s[U + a, k] = grid_velocity[v, a]
-                if keep:
-                    s[MOM + a, k] = grid_increment[v, a]
+                s[U + a * ROW + k] = grid_velocity[vertex, a]
+                if grid_increment is not None:
+                    s[DU + a * ROW + k] = grid_increment[vertex, a]
         for j in range(start[i], start[i + 1]):
             p = order[j]
-            barycentric(axes, b, position[p], cell, cells, points, inverse)
-            m, q, phi_bar = weights(axes, s, n, position[p], b, consistent)
+            for a in range(dim):  # a copy, as a view position[p] would count references
+                x[a] = position[p, a]
+            barycentric(axes, b, x, cell, cells, points, inverse)
+            m, q, phi_bar = weights(axes, s, n, x, b, phi)
             for a in range(dim):
                 v = du = d0 = d1 = d2 = f0 = f1 = f2 = c0 = c1 = c2 = 0.0
                 for k in range(n):
-                    u = s[U + a, k]
-                    r0 = s[R, k]
-                    wu = s[W, k] * u
-                    d = s[D, k] * u
+                    u = s[U + a * ROW + k]
+                    r0 = s[R + k]
+                    wu = s[W + k] * u
+                    d = s[D + k] * u
                     v += wu
                     du += d
                     d0 += d * r0
-                    if consistent:
-                        f0 += wu * s[PHI, k]
-                    if apic:
+                    if phi is not None:
+                        f0 += wu * s[PHI + k]
+                    if affine is not None:
                         c0 += wu * r0
                     if dim > 1:
-                        r1 = s[R + 1, k]
+                        r1 = s[R + ROW + k]
                         d1 += d * r1
-                        if consistent:
-                            f1 += wu * s[PHI + 1, k]
-                        if apic:
+                        if phi is not None:
+                            f1 += wu * s[PHI + ROW + k]
+                        if affine is not None:
                             c1 += wu * r1
                     if dim > 2:
-                        r2 = s[R + 2, k]
+                        r2 = s[R + 2 * ROW + k]
                         d2 += d * r2
-                        if consistent:
-                            f2 += wu * s[PHI + 2, k]
-                        if apic:
+                        if phi is not None:
+                            f2 += wu * s[PHI + 2 * ROW + k]
+                        if affine is not None:
                             c2 += wu * r2
                 d0 -= du * m[0]
                 d1 -= du * m[1]
@@ -227,21 +227,22 @@ def grid_to_particle(
                 gradient[a, 0] = q[0] * d0 + q[1] * d1 + q[2] * d2 + v * phi_bar[0] - f0
                 gradient[a, 1] = q[3] * d0 + q[4] * d1 + q[5] * d2 + v * phi_bar[1] - f1
                 gradient[a, 2] = q[6] * d0 + q[7] * d1 + q[8] * d2 + v * phi_bar[2] - f2
-                moved[a] = position[p, a] + dt * v
-                if keep:
-                    t = 0.0
+                x[a] += dt * v
+                if grid_increment is None:
+                    velocity[p, a] = v
+                else:
+                    dv = 0.0
                     for k in range(n):
-                        t += s[W, k] * s[MOM + a, k]
-                    v = flip * (velocity[p, a] + t) + (1.0 - flip) * v
-                velocity[p, a] = v
-                if apic:
+                        dv += s[W + k] * s[DU + a * ROW + k]
+                    velocity[p, a] = flip * (velocity[p, a] + dv) + (1.0 - flip) * v
+                if affine is not None:
                     affine[p, a, 0] = c0
                     if dim > 1:
                         affine[p, a, 1] = c1
                     if dim > 2:
                         affine[p, a, 2] = c2
             for a in range(dim):
-                position[p, a] = moved[a]
+                position[p, a] = x[a]
                 for c in range(dim):
                     t = deformation_gradient[p, a, c]
                     for e in range(dim):

@@ -18,8 +18,13 @@ with phi_bar = sum w phi, T = -sum w phi (x) r and Q = (I - T) K; the plain grad
 import numpy as np
 from numba import njit
 
-MAX_RING = 184  # columns of the scratch table; 23 cache lines: rows do not share cache sets
-X, IH, ETA, PHI, U, D, W, R, MASS, MOM, FORCE, ROWS = 0, 3, 4, 8, 11, 14, 15, 16, 19, 20, 23, 26
+# Rows of the scratch table `s`, a flat array, as offsets: s[W + k] is the weight of ring vertex k, and
+# s[X + k], s[X + ROW + k], ... are its coordinates. Constant offsets let compilers see that rows do not
+# overlap, so that loops along them become vector code; 23 cache lines a row, so that rows do not share
+# cache sets.
+ROW = 184
+X, IH, ETA, PHI, U, DU, D, W, R, SIZE = (row * ROW for row in (0, 3, 4, 8, 11, 14, 17, 18, 19, 22))
+MAX_RING = ROW - 8
 
 # no `nnan`/`ninf`: a run that goes wrong must still be seen as such
 FAST = {"reassoc", "contract", "arcp", "nsz", "afn"}
@@ -34,18 +39,18 @@ def gather_ring(axes, s, cell, ring_start, ring_vertex, ring_mask, points, inver
     padded = (n + 7) // 8 * 8
     for k in range(n):
         v = ring_vertex[first + k]
-        s[IH, k] = inverse_support[v]
+        s[IH + k] = inverse_support[v]
         mask = ring_mask[first + k]
         for a in range(len(axes)):
-            s[X + a, k] = points[v, a]
+            s[X + a * ROW + k] = points[v, a]
         for q in range(len(axes) + 1):
-            s[ETA + q, k] = (mask >> q) & 1
-        if len(phi) > 0:
+            s[ETA + q * ROW + k] = (mask >> q) & 1
+        if phi is not None:
             for a in range(len(axes)):
-                s[PHI + a, k] = phi[v, a]
+                s[PHI + a * ROW + k] = phi[v, a]
     for k in range(n, padded):  # columns of zero weight, so that no loop has a scalar remainder
-        for row in range(ROWS):
-            s[row, k] = 0.0
+        for row in range(0, SIZE, ROW):
+            s[row + k] = 0.0
     return padded
 
 
@@ -73,23 +78,23 @@ def inverse_inertia(axes, s, n):
     dim = len(axes)
     c00 = c01 = c02 = c11 = c12 = c22 = 0.0
     for k in range(n):
-        r0 = s[R, k]
-        w0 = s[W, k] * r0
+        r0 = s[R + k]
+        w0 = s[W + k] * r0
         c00 += w0 * r0
         if dim > 1:
-            r1 = s[R + 1, k]
+            r1 = s[R + ROW + k]
             c01 += w0 * r1
-            c11 += s[W, k] * r1 * r1
+            c11 += s[W + k] * r1 * r1
         if dim > 2:
-            r2 = s[R + 2, k]
+            r2 = s[R + 2 * ROW + k]
             c02 += w0 * r2
-            c12 += s[W, k] * r1 * r2
-            c22 += s[W, k] * r2 * r2
+            c12 += s[W + k] * r1 * r2
+            c22 += s[W + k] * r2 * r2
     return inverse_symmetric(dim, c00, c01, c02, c11, c12, c22)
 
 
 @njit(**options)
-def weights(axes, s, n, x, b, consistent):
+def weights(axes, s, n, x, b, phi):
     """Fill the rows D, W and R for a particle at x with barycentric coordinates b.
 
     Returns the mean offset m, the matrix Q (row-major, 3 x 3) and phi_bar of the module's formulas.
@@ -98,25 +103,25 @@ def weights(axes, s, n, x, b, consistent):
     m0 = m1 = m2 = m3 = 0.0
     c00 = c01 = c02 = c11 = c12 = c22 = 0.0
     for k in range(n):
-        r0 = s[X, k] - x[0]
-        s[R, k] = r0
+        r0 = s[X + k] - x[0]
+        s[R + k] = r0
         square = r0 * r0
-        eta = s[ETA, k] * b[0] + s[ETA + 1, k] * b[1]
+        eta = s[ETA + k] * b[0] + s[ETA + ROW + k] * b[1]
         if dim > 1:
-            r1 = s[X + 1, k] - x[1]
-            s[R + 1, k] = r1
+            r1 = s[X + ROW + k] - x[1]
+            s[R + ROW + k] = r1
             square += r1 * r1
-            eta += s[ETA + 2, k] * b[2]
+            eta += s[ETA + 2 * ROW + k] * b[2]
         if dim > 2:
-            r2 = s[X + 2, k] - x[2]
-            s[R + 2, k] = r2
+            r2 = s[X + 2 * ROW + k] - x[2]
+            s[R + 2 * ROW + k] = r2
             square += r2 * r2
-            eta += s[ETA + 3, k] * b[3]
-        q = np.sqrt(square) * s[IH, k]
+            eta += s[ETA + 3 * ROW + k] * b[3]
+        q = np.sqrt(square) * s[IH + k]
         outer = max(0.0, 1.5 - q)
         inner = max(0.0, 0.5 - q)
         d = eta * (0.5 * outer * outer - 1.5 * inner * inner)  # quadratic B-spline
-        s[D, k] = d
+        s[D + k] = d
         m0 += d
         d0 = d * r0
         m1 += d0
@@ -148,41 +153,41 @@ def weights(axes, s, n, x, b, consistent):
     b1 = k01 * m1 + k11 * m2 + k12 * m3
     b2 = k02 * m1 + k12 * m2 + k22 * m3
     a0 = i0 + m1 * b0 + m2 * b1 + m3 * b2
-    if not consistent:
+    if phi is None:
         for k in range(n):
-            t = a0 - b0 * s[R, k]
+            t = a0 - b0 * s[R + k]
             if dim > 1:
-                t -= b1 * s[R + 1, k]
+                t -= b1 * s[R + ROW + k]
             if dim > 2:
-                t -= b2 * s[R + 2, k]
-            s[W, k] = s[D, k] * t
+                t -= b2 * s[R + 2 * ROW + k]
+            s[W + k] = s[D + k] * t
         return (m1, m2, m3), (k00, k01, k02, k01, k11, k12, k02, k12, k22), (0.0, 0.0, 0.0)
     p0 = p1 = p2 = 0.0
     t00 = t01 = t02 = t10 = t11 = t12 = t20 = t21 = t22 = 0.0
     for k in range(n):
-        t = a0 - b0 * s[R, k]
+        t = a0 - b0 * s[R + k]
         if dim > 1:
-            t -= b1 * s[R + 1, k]
+            t -= b1 * s[R + ROW + k]
         if dim > 2:
-            t -= b2 * s[R + 2, k]
-        w = s[D, k] * t
-        s[W, k] = w
-        r0 = s[R, k]
-        f = w * s[PHI, k]
+            t -= b2 * s[R + 2 * ROW + k]
+        w = s[D + k] * t
+        s[W + k] = w
+        r0 = s[R + k]
+        f = w * s[PHI + k]
         p0 += f
         t00 += f * r0
         if dim > 1:
-            r1 = s[R + 1, k]
+            r1 = s[R + ROW + k]
             t01 += f * r1
-            g = w * s[PHI + 1, k]
+            g = w * s[PHI + ROW + k]
             p1 += g
             t10 += g * r0
             t11 += g * r1
         if dim > 2:
-            r2 = s[R + 2, k]
+            r2 = s[R + 2 * ROW + k]
             t02 += f * r2
             t12 += g * r2
-            h = w * s[PHI + 2, k]
+            h = w * s[PHI + 2 * ROW + k]
             p2 += h
             t20 += h * r0
             t21 += h * r1
