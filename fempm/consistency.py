@@ -150,7 +150,7 @@ def assemble(kernel):
     volume = np.zeros(nv)
     integrate(
         kernel.axes,
-        *kernel.mesh_arguments[:-1],
+        kernel.rings,
         volumes,
         points,
         w,
@@ -217,13 +217,7 @@ def matrix_columns(ring_start, ring_vertex, cell_start, cell_of, row_start, nv):
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
 def integrate(
     axes,
-    cells,
-    inverse,
-    ring_start,
-    ring_vertex,
-    ring_mask,
-    points,
-    inverse_support,
+    rings,
     volumes,
     rule,
     rule_weights,
@@ -235,6 +229,8 @@ def integrate(
 ):
     """Add the integrals of all cells to K, r and int w."""
     dim = len(axes)
+    cells, points = rings.cells, rings.points
+    ring_start, ring_vertex = rings.start, rings.vertex
     s = np.empty(SIZE)
     local = np.empty((MAX_RING, MAX_RING))
     g = np.empty((3, MAX_RING))
@@ -243,14 +239,14 @@ def integrate(
     for c in range(len(cells)):
         first = ring_start[c]
         n = ring_start[c + 1] - first
-        padded = gather_ring(axes, s, c, ring_start, ring_vertex, ring_mask, points, inverse_support, None)
+        padded = gather_ring(axes, s, c, rings, None)
         local[:n, :n] = 0.0
         for i in range(len(rule)):
             for a in range(dim):
                 x[a] = 0.0
                 for q in range(dim + 1):
                     x[a] += rule[i, q] * points[cells[c, q], a]
-            barycentric(axes, b, x, c, cells, points, inverse)
+            barycentric(axes, b, x, c, cells, points, rings.inverse)
             m, k_inv, _ = weights(axes, s, padded, x, b, None)
             dv = rule_weights[i] * volumes[c]
             for k in range(n):

@@ -12,7 +12,7 @@ from numba import njit
 
 from .mesh import mean_edge_length
 from .walls import attached_adjacency
-from .weights import MAX_RING, PHI, ROW, SIZE, D, R, W, barycentric, gather_ring, weights
+from .weights import MAX_RING, PHI, ROW, SIZE, D, R, Rings, W, barycentric, gather_ring, weights
 
 # smaller is more accurate, larger has fewer negative weights (README, "Where the numbers come from")
 SUPPORT = {1: 1.0, 2: 1.1, 3: 1.1}
@@ -51,18 +51,22 @@ class Kernel:
         return tuple(range(self.dim))
 
     @property
-    def mesh_arguments(self):
-        """Arguments of the transfer kernels that describe the mesh, in their order."""
-        return (
+    def rings(self):
+        """The arrays that compiled code reads, as one argument."""
+        return Rings(
             self.cells,
             self.inverse,
+            self.points,
+            self.inverse_support,
             self.ring_start,
             self.ring_vertex,
             self.ring_mask,
-            self.points,
-            self.inverse_support,
-            self.phi if len(self.phi) else None,
         )
+
+    @property
+    def correction(self):
+        """phi, or None where the gradient is the plain one."""
+        return self.phi if len(self.phi) else None
 
 
 def build_kernel(mesh, layer, support=None, diminishing=True):
@@ -186,34 +190,20 @@ def evaluate_many(kernel, x, cell):
     """Weights (n, MAX_RING) and gradients (n, MAX_RING, d) at points x (n, d) of given cells (n,)."""
     w = np.zeros((len(x), MAX_RING))
     g = np.zeros((len(x), MAX_RING, kernel.dim))
-    tabulate(kernel.axes, np.ascontiguousarray(x, float), cell, *kernel.mesh_arguments, w, g)
+    tabulate(kernel.axes, np.ascontiguousarray(x, float), cell, kernel.rings, kernel.correction, w, g)
     return w, g
 
 
 @njit(cache=True, error_model="numpy")
-def tabulate(
-    axes,
-    x,
-    cell,
-    cells,
-    inverse,
-    ring_start,
-    ring_vertex,
-    ring_mask,
-    points,
-    inverse_support,
-    phi,
-    w,
-    g,
-):
+def tabulate(axes, x, cell, rings, phi, w, g):
     """Loop of `evaluate_many`."""
     s = np.empty(SIZE)
     b = np.empty(4)
     for p in range(len(x)):
-        n = gather_ring(axes, s, cell[p], ring_start, ring_vertex, ring_mask, points, inverse_support, phi)
-        barycentric(axes, b, x[p], cell[p], cells, points, inverse)
+        n = gather_ring(axes, s, cell[p], rings, phi)
+        barycentric(axes, b, x[p], cell[p], rings.cells, rings.points, rings.inverse)
         m, q, phi_bar = weights(axes, s, n, x[p], b, phi)
-        for k in range(ring_start[cell[p] + 1] - ring_start[cell[p]]):
+        for k in range(rings.start[cell[p] + 1] - rings.start[cell[p]]):
             w[p, k] = s[W + k]
             for a in range(len(axes)):
                 t = 0.0
@@ -228,7 +218,7 @@ def check_cells(kernel, mesh):
     """Raise ValueError where the moment matrix is singular: cell, place and mesh quality there."""
     centre = kernel.points[kernel.cells].mean(axis=1)
     worst = np.zeros(len(centre))
-    largest_weight(kernel.axes, centre, *kernel.mesh_arguments, worst)
+    largest_weight(kernel.axes, centre, kernel.rings, worst)
     bad = np.flatnonzero(~(worst < 100.0))
     if len(bad):
         c = bad[0]
@@ -242,44 +232,29 @@ def check_cells(kernel, mesh):
 def negative_weights(kernel, x, cell):
     """Number of the points x (n, d) that see a negative weight (below -1e-12), and the least weight."""
     least = np.zeros(len(x))
-    smallest_weight(kernel.axes, x, cell, *kernel.mesh_arguments, least)
+    smallest_weight(kernel.axes, x, cell, kernel.rings, least)
     return int(np.sum(least < -1e-12)), float(least.min(initial=0.0))
 
 
 @njit(cache=True, error_model="numpy")
-def largest_weight(
-    axes, x, cells, inverse, ring_start, ring_vertex, ring_mask, points, inverse_support, phi, out
-):
+def largest_weight(axes, x, rings, out):
     """Largest |w| at one point of every cell."""
     s = np.empty(SIZE)
     b = np.empty(4)
-    for c in range(len(cells)):
-        n = gather_ring(axes, s, c, ring_start, ring_vertex, ring_mask, points, inverse_support, phi)
-        barycentric(axes, b, x[c], c, cells, points, inverse)
+    for c in range(len(rings.cells)):
+        n = gather_ring(axes, s, c, rings, None)
+        barycentric(axes, b, x[c], c, rings.cells, rings.points, rings.inverse)
         weights(axes, s, n, x[c], b, None)
         out[c] = np.abs(s[W : W + n]).max()
 
 
 @njit(cache=True, error_model="numpy")
-def smallest_weight(
-    axes,
-    x,
-    cell,
-    cells,
-    inverse,
-    ring_start,
-    ring_vertex,
-    ring_mask,
-    points,
-    inverse_support,
-    phi,
-    out,
-):
+def smallest_weight(axes, x, cell, rings, out):
     """Least weight at every point."""
     s = np.empty(SIZE)
     b = np.empty(4)
     for p in range(len(x)):
-        n = gather_ring(axes, s, cell[p], ring_start, ring_vertex, ring_mask, points, inverse_support, phi)
-        barycentric(axes, b, x[p], cell[p], cells, points, inverse)
+        n = gather_ring(axes, s, cell[p], rings, None)
+        barycentric(axes, b, x[p], cell[p], rings.cells, rings.points, rings.inverse)
         weights(axes, s, n, x[p], b, None)
         out[p] = s[W : W + n].min()

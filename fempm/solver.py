@@ -147,7 +147,7 @@ class Simulation:
         if self.body_force is not None:
             self.force = p.mass[:, None] * self.body_force(p.position, self.time)
         fixed = (self.active, self.start, self.order, p.position, p.velocity, optional(p.affine), p.mass)
-        fields = (p.volume, p.stress, optional(self.force), *self.kernel.mesh_arguments)
+        fields = (p.volume, p.stress, optional(self.force), self.kernel.rings, self.kernel.correction)
 
         def share(thread):
             first, last = self.shares[thread : thread + 2]
@@ -199,7 +199,8 @@ class Simulation:
         fixed = (self.active, self.start, self.order, p.position, p.velocity, optional(p.affine))
         fields = (
             p.deformation_gradient,
-            *self.kernel.mesh_arguments,
+            self.kernel.rings,
+            self.kernel.correction,
             self.velocity,
             optional(self.increment),
         )

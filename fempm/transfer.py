@@ -39,13 +39,7 @@ def particle_to_grid(
     volume,
     stress,
     force,
-    cells,
-    inverse,
-    ring_start,
-    ring_vertex,
-    ring_mask,
-    points,
-    inverse_support,
+    rings,
     phi,
     grid,
 ):
@@ -70,7 +64,7 @@ def particle_to_grid(
     x = np.empty(3)
     for i in range(first, last):
         cell = active[i]
-        n = gather_ring(axes, s, cell, ring_start, ring_vertex, ring_mask, points, inverse_support, phi)
+        n = gather_ring(axes, s, cell, rings, phi)
         mass_sum[:n] = 0.0
         momentum_sum[:, :n] = 0.0
         force_sum[:, :n] = 0.0
@@ -78,7 +72,7 @@ def particle_to_grid(
             p = order[j]
             for a in range(dim):  # a copy, as a view position[p] would count references
                 x[a] = position[p, a]
-            barycentric(axes, b, x, cell, cells, points, inverse)
+            barycentric(axes, b, x, cell, rings.cells, rings.points, rings.inverse)
             m, q, phi_bar = weights(axes, s, n, x, b, phi)
             i00 = i01 = i02 = i11 = i12 = i22 = 0.0
             if affine is not None:
@@ -131,9 +125,9 @@ def particle_to_grid(
                             e -= t2 * s[PHI + 2 * ROW + k]
                     momentum_sum[a, k] += s[W + k] * u
                     force_sum[a, k] += s[D + k] * f + s[W + k] * e
-        base = ring_start[cell]
-        for k in range(ring_start[cell + 1] - base):
-            vertex = ring_vertex[base + k]
+        base = rings.start[cell]
+        for k in range(rings.start[cell + 1] - base):
+            vertex = rings.vertex[base + k]
             grid[vertex, 0] += mass_sum[k]
             for a in range(dim):
                 grid[vertex, 1 + a] += momentum_sum[a, k]
@@ -152,13 +146,7 @@ def grid_to_particle(
     velocity,
     affine,
     deformation_gradient,
-    cells,
-    inverse,
-    ring_start,
-    ring_vertex,
-    ring_mask,
-    points,
-    inverse_support,
+    rings,
     phi,
     grid_velocity,
     grid_increment,
@@ -179,10 +167,10 @@ def grid_to_particle(
     updated = np.empty((3, 3))
     for i in range(first, last):
         cell = active[i]
-        n = gather_ring(axes, s, cell, ring_start, ring_vertex, ring_mask, points, inverse_support, phi)
-        base = ring_start[cell]
-        for k in range(ring_start[cell + 1] - base):
-            vertex = ring_vertex[base + k]
+        n = gather_ring(axes, s, cell, rings, phi)
+        base = rings.start[cell]
+        for k in range(rings.start[cell + 1] - base):
+            vertex = rings.vertex[base + k]
             for a in range(dim):
                 s[U + a * ROW + k] = grid_velocity[vertex, a]
                 if grid_increment is not None:
@@ -191,7 +179,7 @@ def grid_to_particle(
             p = order[j]
             for a in range(dim):  # a copy, as a view position[p] would count references
                 x[a] = position[p, a]
-            barycentric(axes, b, x, cell, cells, points, inverse)
+            barycentric(axes, b, x, cell, rings.cells, rings.points, rings.inverse)
             m, q, phi_bar = weights(axes, s, n, x, b, phi)
             for a in range(dim):
                 v = du = d0 = d1 = d2 = f0 = f1 = f2 = c0 = c1 = c2 = 0.0

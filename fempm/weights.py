@@ -15,6 +15,8 @@ The kernel of a particle at x with offsets r_k = x_k - x and D_k = eta_k d_k is,
 with phi_bar = sum w phi, T = -sum w phi (x) r and Q = (I - T) K; the plain gradient is phi = 0.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -31,12 +33,26 @@ FAST = {"reassoc", "contract", "arcp", "nsz", "afn"}
 options = {"fastmath": FAST, "error_model": "numpy", "nogil": True, "cache": True}
 
 
+class Rings(NamedTuple):
+    """What compiled code reads of a mesh; the fields are those of `kernel.Kernel`."""
+
+    cells: np.ndarray
+    inverse: np.ndarray
+    points: np.ndarray
+    inverse_support: np.ndarray
+    start: np.ndarray
+    vertex: np.ndarray
+    mask: np.ndarray
+
+
 @njit(**options)
-def gather_ring(axes, s, cell, ring_start, ring_vertex, ring_mask, points, inverse_support, phi):
+def gather_ring(axes, s, cell, rings, phi):
     """Copy the ring of `cell` into the scratch table; return its padded length."""
-    first = ring_start[cell]
-    n = ring_start[cell + 1] - first
+    first = rings.start[cell]
+    n = rings.start[cell + 1] - first
     padded = (n + 7) // 8 * 8
+    points, inverse_support = rings.points, rings.inverse_support
+    ring_vertex, ring_mask = rings.vertex, rings.mask
     for k in range(n):
         v = ring_vertex[first + k]
         s[IH + k] = inverse_support[v]
@@ -94,11 +110,8 @@ def inverse_inertia(axes, s, n):
 
 
 @njit(**options)
-def weights(axes, s, n, x, b, phi):
-    """Fill the rows D, W and R for a particle at x with barycentric coordinates b.
-
-    Returns the mean offset m, the matrix Q (row-major, 3 x 3) and phi_bar of the module's formulas.
-    """
+def moments(axes, s, n, x, b):
+    """Fill the rows R and D; return sum D, sum D r (three entries) and sum D r (x) r (six)."""
     dim = len(axes)
     m0 = m1 = m2 = m3 = 0.0
     c00 = c01 = c02 = c11 = c12 = c22 = 0.0
@@ -136,12 +149,71 @@ def weights(axes, s, n, x, b, phi):
             c02 += d0 * r2
             c12 += d1 * r2
             c22 += d * r2 * r2
+    return m0, m1, m2, m3, c00, c01, c02, c11, c12, c22
+
+
+@njit(**options)
+def fill_weights(axes, s, n, a0, b0, b1, b2):
+    """Fill the row W with w = D (a0 - b . r)."""
+    for k in range(n):
+        t = a0 - b0 * s[R + k]
+        if len(axes) > 1:
+            t -= b1 * s[R + ROW + k]
+        if len(axes) > 2:
+            t -= b2 * s[R + 2 * ROW + k]
+        s[W + k] = s[D + k] * t
+
+
+@njit(**options)
+def fill_weights_and_phi(axes, s, n, a0, b0, b1, b2):
+    """The same in one loop with phi_bar = sum w phi (three entries) and -T = sum w phi (x) r (nine)."""
+    dim = len(axes)
+    p0 = p1 = p2 = 0.0
+    t00 = t01 = t02 = t10 = t11 = t12 = t20 = t21 = t22 = 0.0
+    for k in range(n):
+        r0 = s[R + k]
+        t = a0 - b0 * r0
+        if dim > 1:
+            r1 = s[R + ROW + k]
+            t -= b1 * r1
+        if dim > 2:
+            r2 = s[R + 2 * ROW + k]
+            t -= b2 * r2
+        w = s[D + k] * t
+        s[W + k] = w
+        f = w * s[PHI + k]
+        p0 += f
+        t00 += f * r0
+        if dim > 1:
+            t01 += f * r1
+            g = w * s[PHI + ROW + k]
+            p1 += g
+            t10 += g * r0
+            t11 += g * r1
+        if dim > 2:
+            t02 += f * r2
+            t12 += g * r2
+            h = w * s[PHI + 2 * ROW + k]
+            p2 += h
+            t20 += h * r0
+            t21 += h * r1
+            t22 += h * r2
+    return (p0, p1, p2), (t00, t01, t02, t10, t11, t12, t20, t21, t22)
+
+
+@njit(**options)
+def weights(axes, s, n, x, b, phi):
+    """Fill the rows R, D and W for a particle at x with barycentric coordinates b.
+
+    Returns the mean offset m, the matrix Q (row-major, 3 x 3) and phi_bar of the module's formulas.
+    """
+    m0, m1, m2, m3, c00, c01, c02, c11, c12, c22 = moments(axes, s, n, x, b)
     i0 = 1.0 / m0
     m1 *= i0
     m2 *= i0
     m3 *= i0
     k00, k01, k02, k11, k12, k22 = inverse_symmetric(
-        dim,
+        len(axes),
         c00 - m0 * m1 * m1,
         c01 - m0 * m1 * m2,
         c02 - m0 * m1 * m3,
@@ -153,58 +225,26 @@ def weights(axes, s, n, x, b, phi):
     b1 = k01 * m1 + k11 * m2 + k12 * m3
     b2 = k02 * m1 + k12 * m2 + k22 * m3
     a0 = i0 + m1 * b0 + m2 * b1 + m3 * b2
+    m = (m1, m2, m3)
     if phi is None:
-        for k in range(n):
-            t = a0 - b0 * s[R + k]
-            if dim > 1:
-                t -= b1 * s[R + ROW + k]
-            if dim > 2:
-                t -= b2 * s[R + 2 * ROW + k]
-            s[W + k] = s[D + k] * t
-        return (m1, m2, m3), (k00, k01, k02, k01, k11, k12, k02, k12, k22), (0.0, 0.0, 0.0)
-    p0 = p1 = p2 = 0.0
-    t00 = t01 = t02 = t10 = t11 = t12 = t20 = t21 = t22 = 0.0
-    for k in range(n):
-        t = a0 - b0 * s[R + k]
-        if dim > 1:
-            t -= b1 * s[R + ROW + k]
-        if dim > 2:
-            t -= b2 * s[R + 2 * ROW + k]
-        w = s[D + k] * t
-        s[W + k] = w
-        r0 = s[R + k]
-        f = w * s[PHI + k]
-        p0 += f
-        t00 += f * r0
-        if dim > 1:
-            r1 = s[R + ROW + k]
-            t01 += f * r1
-            g = w * s[PHI + ROW + k]
-            p1 += g
-            t10 += g * r0
-            t11 += g * r1
-        if dim > 2:
-            r2 = s[R + 2 * ROW + k]
-            t02 += f * r2
-            t12 += g * r2
-            h = w * s[PHI + 2 * ROW + k]
-            p2 += h
-            t20 += h * r0
-            t21 += h * r1
-            t22 += h * r2
+        fill_weights(axes, s, n, a0, b0, b1, b2)
+        return m, (k00, k01, k02, k01, k11, k12, k02, k12, k22), (0.0, 0.0, 0.0)
+    phi_bar, (t00, t01, t02, t10, t11, t12, t20, t21, t22) = fill_weights_and_phi(axes, s, n, a0, b0, b1, b2)
     t00 += 1.0
     t11 += 1.0
     t22 += 1.0
-    q00 = t00 * k00 + t01 * k01 + t02 * k02
-    q01 = t00 * k01 + t01 * k11 + t02 * k12
-    q02 = t00 * k02 + t01 * k12 + t02 * k22
-    q10 = t10 * k00 + t11 * k01 + t12 * k02
-    q11 = t10 * k01 + t11 * k11 + t12 * k12
-    q12 = t10 * k02 + t11 * k12 + t12 * k22
-    q20 = t20 * k00 + t21 * k01 + t22 * k02
-    q21 = t20 * k01 + t21 * k11 + t22 * k12
-    q22 = t20 * k02 + t21 * k12 + t22 * k22
-    return (m1, m2, m3), (q00, q01, q02, q10, q11, q12, q20, q21, q22), (p0, p1, p2)
+    q = (
+        t00 * k00 + t01 * k01 + t02 * k02,
+        t00 * k01 + t01 * k11 + t02 * k12,
+        t00 * k02 + t01 * k12 + t02 * k22,
+        t10 * k00 + t11 * k01 + t12 * k02,
+        t10 * k01 + t11 * k11 + t12 * k12,
+        t10 * k02 + t11 * k12 + t12 * k22,
+        t20 * k00 + t21 * k01 + t22 * k02,
+        t20 * k01 + t21 * k11 + t22 * k12,
+        t20 * k02 + t21 * k12 + t22 * k22,
+    )
+    return m, q, phi_bar
 
 
 @njit(**options)
