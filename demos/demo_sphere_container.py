@@ -35,12 +35,12 @@ def main(argv=None):
     log, p = record.log, scene.particles
     reach = np.linalg.norm(p.position, axis=1).max()
     total = log["total"] / log["total"][0]
-    print(f"{scene.steps} steps, energy between {total.min():.3f} and {total.max():.3f} of its start")
-    print(
-        f"largest radius {reach:.4f} m of 0.5 m, {scene.wall_hits} times a particle was put back on the wall"
-    )
+    centre = np.linalg.norm(p.mass @ p.position) / p.mass.sum()
+    print(f"{scene.steps} steps; centre of mass off by {centre / 0.5:.1e} of the radius (exact: 0),")
+    print(f"energy falls to {total[-1]:.3f} of its start (FLIP damps short waves, see README)")
+    print(f"largest radius {reach:.4f} m of 0.5 m; particles put back on the wall: {scene.wall_hits}")
     print_files([*record.files, picture])
-    return {"energy": total, "reach": reach, "record": record}
+    return {"energy": total, "centre": centre, "reach": reach, "record": record}
 
 
 if __name__ == "__main__":

@@ -24,17 +24,15 @@ def read_gmsh(comm, path, parameters):
     Returns
     -------
     mesh : dolfinx.mesh.Mesh
-    facet_tags : dolfinx.mesh.MeshTags
-    names : dict boundary name -> tag
+    cell_tags, facet_tags : dolfinx.mesh.MeshTags
+    names : dict (dimension, name) -> tag
 
     Raises
     ------
     ImportError, ValueError
         on all ranks, if there is no package gmsh or the file is no mesh of simplices
     """
-    mesh, _, facet_tags, names = _make_mesh(comm, 0, lambda: _file_arrays(path, parameters))
-    fdim = mesh.topology.dim - 1
-    return mesh, facet_tags, {name: tag for (dim, name), tag in names.items() if dim == fdim}
+    return _make_mesh(comm, 0, lambda: _file_arrays(path, parameters))
 
 
 def _file_arrays(path, parameters):

@@ -44,8 +44,12 @@ def sum_threads(grids, vertices, n):
 
 
 @njit(**options)
-def fold_mirrors(grid, stamp, now, first_mirror, owner, fold, drift):
-    """m_i += m_g, p_i += C^T (p_g - m_g drift_g), f_i += C^T f_g for every mirror g of vertex i."""
+def fold_mirrors(grid, stamp, now, first_mirror, owner, fold, drift, gravity):
+    """m_i += m_g, p_i += C^T (p_g - m_g drift_g), f_i += C^T f_g for every mirror g of vertex i.
+
+    The weight m_g gravity is a force like others; as the update adds gravity to m_i + m_g, the part that
+    is not folded is taken out here.
+    """
     d = fold.shape[1]
     for g in range(len(owner)):
         v = first_mirror + g
@@ -53,10 +57,11 @@ def fold_mirrors(grid, stamp, now, first_mirror, owner, fold, drift):
         if stamp[v] == now:
             grid[i, 0] += grid[v, 0]
             for a in range(d):
+                grid[i, 1 + d + a] -= grid[v, 0] * gravity[a]
                 for b in range(d):
                     p = grid[v, 1 + b] - grid[v, 0] * drift[g, b]
                     grid[i, 1 + a] += fold[g, b, a] * p
-                    grid[i, 1 + d + a] += fold[g, b, a] * grid[v, 1 + d + b]
+                    grid[i, 1 + d + a] += fold[g, b, a] * (grid[v, 1 + d + b] + grid[v, 0] * gravity[b])
 
 
 @njit(**options)
@@ -94,11 +99,13 @@ def update_velocity(grid, vertices, n, num_real, dt, gravity, smallest_mass, vel
 
 
 @njit(**options)
-def constrain(vertices, project, drift, change, velocity, increment):
+def constrain(stamp, now, vertices, project, drift, change, velocity, increment):
     """v = P v + v_wall at wall vertices, with the wall's own velocity change for FLIP (line 6)."""
     d = project.shape[1]
     for i in range(len(vertices)):
         v = vertices[i]
+        if stamp[v] != now:
+            continue
         apply(project[i], velocity[v], drift[i], d)
         if len(increment) > 0:
             apply(project[i], increment[v], change[i], d)
@@ -119,11 +126,13 @@ def apply(matrix, x, shift, d):
 
 
 @njit(**options)
-def fill_mirrors(first_mirror, owner, fold, drift, change, velocity, increment):
+def fill_mirrors(stamp, now, first_mirror, owner, fold, drift, change, velocity, increment):
     """v_g = C v_i + drift_g at mirror vertices, and the same for the increments."""
     d = fold.shape[1]
     for g in range(len(owner)):
         v = first_mirror + g
+        if stamp[v] != now:
+            continue
         for a in range(d):
             velocity[v, a] = velocity[owner[g], a]
         apply(fold[g], velocity[v], drift[g], d)

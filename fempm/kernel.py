@@ -85,6 +85,9 @@ def build_kernel(mesh, layer, support=None, diminishing=True):
     ValueError
         for a ring of more than MAX_RING vertices (a vertex with a hundred cells)
     """
+    support = SUPPORT[mesh.dim] if support is None else support
+    if not support > 0:
+        raise ValueError(f"support {support}: it must be positive")
     points = np.concatenate([mesh.points, layer.points])
     start, adjacent = attached_adjacency(mesh, layer)
     owner = np.concatenate([np.arange(len(mesh.points)), layer.owner])
@@ -110,7 +113,7 @@ def build_kernel(mesh, layer, support=None, diminishing=True):
         ring_start,
         ring_vertex,
         ring_mask,
-        1.0 / ((support or SUPPORT[mesh.dim]) * size),
+        1.0 / (support * size),
         np.zeros((0, mesh.dim)),
     )
 
@@ -216,9 +219,11 @@ def tabulate(axes, x, cell, rings, phi, w, g):
 
 def check_cells(kernel, mesh):
     """Raise ValueError where the moment matrix is singular: cell, place and mesh quality there."""
-    centre = kernel.points[kernel.cells].mean(axis=1)
+    corners = kernel.points[kernel.cells]
+    centre = corners.mean(axis=1)
     worst = np.zeros(len(centre))
-    largest_weight(kernel.axes, centre, kernel.rings, worst)
+    for x in (centre, *(0.1 * centre + 0.9 * corners[:, q] for q in range(mesh.dim + 1))):
+        largest_weight(kernel.axes, x, kernel.rings, worst)
     bad = np.flatnonzero(~(worst < 100.0))
     if len(bad):
         c = bad[0]
@@ -238,14 +243,16 @@ def negative_weights(kernel, x, cell):
 
 @njit(cache=True, error_model="numpy")
 def largest_weight(axes, x, rings, out):
-    """Largest |w| at one point of every cell."""
+    """Raise `out` to the largest |w| at one point of every cell; not a number stays."""
     s = np.empty(SIZE)
     b = np.empty(4)
     for c in range(len(rings.cells)):
         n = gather_ring(axes, s, c, rings, None)
         barycentric(axes, b, x[c], c, rings.cells, rings.points, rings.inverse)
         weights(axes, s, n, x[c], b, None)
-        out[c] = np.abs(s[W : W + n]).max()
+        largest = np.abs(s[W : W + n]).max()
+        if out[c] == out[c] and not largest <= out[c]:
+            out[c] = largest
 
 
 @njit(cache=True, error_model="numpy")

@@ -3,7 +3,7 @@
 Every law gives, for deformation gradients F (n, d, d), the Kirchhoff stress tau = P F^T = J sigma
 (n, d, d), which is what enters f_i = -sum_p V0_p tau_p grad w_ip (thesis eq. 2.8 with V = J V0), and
 the energy per initial volume psi (n,) with P = d psi / d F. In two dimensions F is in plane strain.
-Loops are compiled; a law of one's own needs only the same three methods, in NumPy if one likes.
+Loops are compiled; a law of one's own needs a density and the same three methods, in NumPy if one likes.
 """
 
 from dataclasses import dataclass
@@ -35,10 +35,13 @@ class Elastic:
         e, nu = self.young, self.poisson
         return e * nu / ((1 + nu) * (1 - 2 * nu)), e / (2 * (1 + nu))
 
-    def wave_speed(self):
-        """Speed of pressure waves in the undeformed solid, sqrt((lambda + 2 mu) / rho)."""
-        lam, mu = self.lame
-        return np.sqrt((lam + 2 * mu) / self.density)
+    def wave_speed(self, stretch=1.0, jacobian=1.0):
+        """Bound on the speed of pressure waves in space, sqrt((lambda + 2 mu) / rho) when undeformed.
+
+        `stretch` is the largest principal stretch in the body, `jacobian` the least det F. Along a
+        principal axis the square of the speed is stretch^2 (d^2 psi / d stretch^2) / rho.
+        """
+        return np.sqrt(self._stiffness(*self.lame, max(stretch, 1.0), min(jacobian, 1.0)) / self.density)
 
     def kirchhoff_stress(self, deformation_gradient, out):
         """Write tau (n, d, d) to `out`; returns the first particle with det F not in (0, inf), or -1."""
@@ -53,6 +56,9 @@ class Elastic:
 class LinearElastic(Elastic):
     """psi = mu eps : eps + lambda tr(eps)^2 / 2, eps = sym(F) - I; in 1D with nu = 0, P = E (F - 1)."""
 
+    def _stiffness(self, lam, mu, stretch, jacobian):
+        return (lam + 2 * mu) * stretch**2
+
     def _stress(self, f, lam, mu, out):
         return linear_stress(f, lam, mu, out)
 
@@ -63,6 +69,9 @@ class LinearElastic(Elastic):
 
 class NeoHookean(Elastic):
     """psi = mu (tr(F F^T) - d) / 2 - mu ln J + lambda (ln J)^2 / 2."""
+
+    def _stiffness(self, lam, mu, stretch, jacobian):
+        return mu * stretch**2 + mu + lam * (1 - np.log(jacobian))
 
     def _stress(self, f, lam, mu, out):
         return neo_hookean_stress(f, lam, mu, out)
@@ -75,6 +84,10 @@ class NeoHookean(Elastic):
 class StVenantKirchhoff(Elastic):
     """psi = mu E : E + lambda tr(E)^2 / 2, E = (F^T F - I) / 2."""
 
+    def _stiffness(self, lam, mu, stretch, jacobian):
+        square = stretch**2  # the second term is that of equal stretches across
+        return square * ((lam + 2 * mu) * (3 * square - 1) / 2 + lam * (square - 1))
+
     def _stress(self, f, lam, mu, out):
         return st_venant_kirchhoff_stress(f, lam, mu, out)
 
@@ -85,6 +98,10 @@ class StVenantKirchhoff(Elastic):
 
 class Hencky(Elastic):
     """psi = mu sum(e_i^2) + lambda (sum e_i)^2 / 2 with the logarithms e_i of the principal stretches."""
+
+    def _stiffness(self, lam, mu, stretch, jacobian):
+        least_log = np.log(jacobian) - 2 * np.log(stretch)  # of the third stretch, the others largest
+        return lam + 2 * mu - lam * np.log(jacobian) - 2 * mu * least_log
 
     def kirchhoff_stress(self, deformation_gradient, out):
         lam, mu = self.lame
@@ -125,9 +142,9 @@ class WeaklyCompressibleFluid:
         if not self.gamma > 1:
             raise ValueError(f"WeaklyCompressibleFluid: singular for gamma {self.gamma}, it must exceed 1")
 
-    def wave_speed(self):
-        """Speed of sound at rest, sqrt(K / rho)."""
-        return np.sqrt(self.bulk / self.density)
+    def wave_speed(self, stretch=1.0, jacobian=1.0):
+        """Speed of sound where det F is `jacobian`, sqrt(K / rho) at rest."""
+        return np.sqrt(self.bulk / self.density * min(jacobian, 1.0) ** (1 - self.gamma))
 
     def kirchhoff_stress(self, deformation_gradient, out):
         """Write tau (n, d, d) to `out`; returns the first particle with det F not in (0, inf), or -1."""
@@ -154,6 +171,24 @@ def determinant(f, p):
         - f[p, 0, 1] * (f[p, 1, 0] * f[p, 2, 2] - f[p, 1, 2] * f[p, 2, 0])
         + f[p, 0, 2] * (f[p, 1, 0] * f[p, 2, 1] - f[p, 1, 1] * f[p, 2, 0])
     )
+
+
+@njit(**kernel_options)
+def extremes(f):
+    """Bound on the largest principal stretch (row sums of F F^T) and the least det F of F (n, d, d)."""
+    n, d, _ = f.shape
+    largest, least = 0.0, np.inf
+    for p in range(n):
+        least = min(least, determinant(f, p))
+        for a in range(d):
+            row = 0.0
+            for b in range(d):
+                t = 0.0
+                for c in range(d):
+                    t += f[p, a, c] * f[p, b, c]
+                row += abs(t)
+            largest = max(largest, row)
+    return np.sqrt(largest), least
 
 
 @njit(**kernel_options)

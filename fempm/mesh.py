@@ -23,6 +23,7 @@ class SimplexMesh:
     inverse : (nc, d, d) maps x - points[cells[c, 0]] to the barycentric coordinates 1..d
     adjacency_start, adjacency : CSR lists of each vertex's edge neighbours, without itself
     boundaries : boundary name -> (nf, d) int32 vertices of its facets; "boundary" is all of it
+    regions : region name -> int32 numbers of its cells, from the physical groups or cell tags of a file
     num_owned_vertices, num_owned_cells : how many of the local ones this rank owns
     global_vertices, global_cells : (nv,), (nc,) int64 numbers across all ranks
     """
@@ -30,6 +31,7 @@ class SimplexMesh:
     points: np.ndarray
     cells: np.ndarray
     boundaries: dict = field(default_factory=dict)
+    regions: dict = field(default_factory=dict)
     num_owned_vertices: int = -1
     num_owned_cells: int = -1
     global_vertices: np.ndarray = None
@@ -125,10 +127,12 @@ def mean_edge_length(points, start, adjacent):
 def interval_mesh(x):
     """Mesh of the intervals between increasing coordinates x (n,)."""
     x = np.asarray(x, float)
+    if np.any(np.diff(x) <= 0):
+        raise ValueError("the coordinates of an interval mesh must increase")
     return SimplexMesh(x[:, None], np.stack([np.arange(len(x) - 1), np.arange(1, len(x))], axis=1))
 
 
-def from_dolfinx(mesh, facet_tags=None, names=None, boundaries=None):
+def from_dolfinx(mesh, facet_tags=None, names=None, boundaries=None, cell_tags=None, region_names=None):
     """Wrap a DOLFINx simplex mesh.
 
     Parameters
@@ -138,6 +142,7 @@ def from_dolfinx(mesh, facet_tags=None, names=None, boundaries=None):
     names : dict name -> tag value; unnamed values are called "1", "2", ...
     boundaries : dict name -> function of coordinates (d, n) -> (n,) bool; an exterior facet belongs to
         the boundary if the function holds at all of its vertices
+    cell_tags, region_names : the same as facet_tags and names for `SimplexMesh.regions`
 
     Raises
     ------
@@ -168,16 +173,21 @@ def from_dolfinx(mesh, facet_tags=None, names=None, boundaries=None):
         global_vertices=global_vertices,
         global_cells=global_cells,
     )
-    if facet_tags is not None:
-        called = {value: name for name, value in (names or {}).items()}
-        # Collective: a rank without facets of a boundary has to know its name as well.
-        values = set().union(*mesh.comm.allgather(set(facet_tags.values.tolist())))
-        for value in sorted(values):
-            facets = facet_tags.indices[facet_tags.values == value]
-            wrapped.boundaries[called.get(value, str(value))] = compat.facet_vertices(mesh, facets)
+    for name, facets in tagged_entities(mesh, facet_tags, names):
+        wrapped.boundaries[name] = compat.facet_vertices(mesh, facets)
+    wrapped.regions.update(tagged_entities(mesh, cell_tags, region_names))
     for name, predicate in (boundaries or {}).items():
         mark_boundary(wrapped, name, predicate)
     return wrapped
+
+
+def tagged_entities(mesh, tags, names):
+    """Pairs (name, local entities) of a DOLFINx MeshTags, the same names on all ranks. Collective."""
+    if tags is None:
+        return []
+    called = {value: name for name, value in (names or {}).items()}
+    values = set().union(*mesh.comm.allgather(set(tags.values.tolist())))
+    return [(called.get(v, str(v)), tags.indices[tags.values == v]) for v in sorted(values)]
 
 
 def mark_boundary(mesh, name, predicate):
@@ -218,10 +228,14 @@ def read_mesh(path, boundaries=None, **parameters):
     if parameters and path.suffix != ".geo":
         raise ValueError(f"{path}: parameters ({', '.join(parameters)}) can only be set in a .geo file")
     if path.suffix == ".xdmf":
-        mesh, _, facet_tags = compat.read_xdmf_mesh(MPI.COMM_WORLD, path)
-        names = None
+        mesh, cell_tags, facet_tags = compat.read_xdmf_mesh(MPI.COMM_WORLD, path)
+        names = region_names = None
     elif path.suffix in (".geo", ".msh"):
-        mesh, facet_tags, names = gmsh_reader.read_gmsh(MPI.COMM_WORLD, path, parameters)
+        mesh, cell_tags, facet_tags, found = gmsh_reader.read_gmsh(MPI.COMM_WORLD, path, parameters)
+        region_names, names = (
+            {name: tag for (dim, name), tag in found.items() if dim == mesh.topology.dim - codim}
+            for codim in (0, 1)
+        )
     else:
         raise ValueError(f"{path}: unknown mesh format {path.suffix!r}, give .geo, .msh or .xdmf")
-    return from_dolfinx(mesh, facet_tags, names, boundaries)
+    return from_dolfinx(mesh, facet_tags, names, boundaries, cell_tags, region_names)

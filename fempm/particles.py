@@ -41,6 +41,10 @@ class Body:
                 f"body {self.name!r}: particle {p} has volume {self.volume[p]}, it must be positive"
             )
         v = self.velocity(self.position) if callable(self.velocity) else self.velocity
+        if np.shape(v) not in ((), (d,), (n, d)):
+            raise ValueError(
+                f"body {self.name!r}: velocity of shape {np.shape(v)}, give ({d},) or ({n}, {d})"
+            )
         self.velocity = np.broadcast_to(np.asarray(v, float), (n, d))
         unset = np.flatnonzero(~np.isfinite(self.velocity).all(axis=1))
         if len(unset):
@@ -138,6 +142,8 @@ def fill_box(lower, upper, spacing):
     position : (n, d), volume : (n,)
     """
     lower, upper = np.atleast_1d(lower).astype(float), np.atleast_1d(upper).astype(float)
+    if not spacing > 0 or not np.all(upper > lower):
+        raise ValueError(f"box {lower} to {upper}, spacing {spacing}: both must be positive")
     count = np.maximum(1, np.round((upper - lower) / spacing).astype(int))
     step = (upper - lower) / count
     axes = [a + s * (np.arange(n) + 0.5) for a, s, n in zip(lower, step, count, strict=True)]
@@ -145,7 +151,7 @@ def fill_box(lower, upper, spacing):
     return position, np.full(len(position), step.prod())
 
 
-def fill_cells(mesh, per_cell, inside=None):
+def fill_cells(mesh, per_cell, inside=None, region=None):
     """Particles in the cells of a mesh, equal shares of the cell's volume each.
 
     Parameters
@@ -154,15 +160,21 @@ def fill_cells(mesh, per_cell, inside=None):
     per_cell : particles per cell; powers of 2^d are the centroids of equal parts of the cell, other
         numbers a quasi-random sequence
     inside : function of positions (n, d) -> (n,) bool that selects particles, all when not given
+    region : name of a region of the mesh to fill, see `SimplexMesh.regions`
 
     Returns
     -------
     position : (n, d), volume : (n,)
     """
+    if region is not None and region not in mesh.regions:
+        raise KeyError(f"unknown region {region!r}: this mesh has {sorted(mesh.regions)}")
+    chosen = slice(None) if region is None else mesh.regions[region]
     rule = simplex_points(mesh.dim, per_cell)
-    position = np.einsum("pq,cqd->cpd", rule, mesh.points[mesh.cells]).reshape(-1, mesh.dim)
-    volume = np.repeat(mesh.volumes / per_cell, per_cell)
+    position = np.einsum("pq,cqd->cpd", rule, mesh.points[mesh.cells[chosen]]).reshape(-1, mesh.dim)
+    volume = np.repeat(mesh.volumes[chosen] / per_cell, per_cell)
     if inside is not None:
         chosen = np.asarray(inside(position), bool)
+        if chosen.shape != volume.shape:
+            raise ValueError(f"inside returns shape {chosen.shape} for {len(volume)} positions (n, d)")
         position, volume = position[chosen], volume[chosen]
     return np.ascontiguousarray(position), volume

@@ -1,5 +1,6 @@
 """The explicit material point method: scene, time step and run loop (thesis Algorithm 1)."""
 
+import os
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -7,9 +8,10 @@ from numba import njit
 
 from . import consistency, grid, locate, transfer
 from .kernel import build_kernel, check_cells, negative_weights
+from .materials import extremes
 from .mesh import mean_edge_length
-from .particles import join_bodies
-from .walls import wall_layer
+from .particles import Body, join_bodies
+from .walls import Wall, wall_layer
 
 TRANSFERS = ("apic", "flip", "pic")
 
@@ -27,12 +29,13 @@ class Simulation:
     bodies : list of Body
     walls : list of Wall; boundaries without one are open, particles must not leave through them
     gravity : (d,) constant acceleration
-    body_force : function (positions (n, d), time) -> acceleration (n, d) at the particles
+    body_force : acceleration at the particles, (d,) or a function (positions (n, d), time) -> (n, d)
     transfer : "apic", "flip" or "pic"
     flip : share of FLIP in its blend with PIC, for transfer="flip"
     gradient : "consistent" (design note) or "plain" (the paper's MLS gradient)
     diminishing : False switches eta off, for comparison only
     support : support of the kernel over the mean edge length, see `kernel.SUPPORT`
+    max_iterations : cap on the solve for consistent gradients, see `consistency`
     cfl : time step over (local mesh size) / (wave speed + particle speed)
     threads : threads of the transfers; one by default
 
@@ -54,6 +57,7 @@ class Simulation:
         gradient="consistent",
         diminishing=True,
         support=None,
+        max_iterations=300,
         cfl=0.3,
         threads=1,
     ):
@@ -65,19 +69,27 @@ class Simulation:
             raise ValueError(f"flip {flip}: the share of FLIP lies in [0, 1]")
         if threads < 1 or not cfl > 0:
             raise ValueError(f"threads {threads}, cfl {cfl}: both must be positive")
-        if mesh.num_owned_cells != len(mesh.cells):
-            raise ValueError("this mesh is spread over several ranks: simulations run on one rank for now")
+        ranks = os.environ.get("OMPI_COMM_WORLD_SIZE", os.environ.get("PMI_SIZE", "1"))
+        if mesh.num_owned_cells != len(mesh.cells) or int(ranks) > 1:
+            raise ValueError(f"started on {ranks} MPI ranks: simulations run on one rank for now")
+        for given, kind in ((bodies, Body), (walls, Wall)):
+            if isinstance(given, kind) or not all(isinstance(item, kind) for item in given):
+                raise TypeError(f"{given!r}: give a list of {kind.__name__}")
         self.mesh, self.bodies, self.walls = mesh, list(bodies), list(walls)
         self.transfer, self.cfl, self.body_force = transfer, cfl, body_force
         self.flip = flip if transfer == "flip" else 0.0
         d = mesh.dim
-        self.gravity = np.zeros(d) if gravity is None else np.asarray(gravity, float).reshape(d)
+        self.gravity = np.zeros(d) if gravity is None else np.asarray(gravity, float)
+        if self.gravity.shape != (d,) or not np.isfinite(self.gravity).all():
+            raise ValueError(f"gravity {gravity}: give {d} finite numbers")
         self.layer = wall_layer(mesh, self.walls)
         self.kernel = build_kernel(mesh, self.layer, support, diminishing)
         check_cells(self.kernel, mesh)
         self.correction = {"solved": False, "before": np.nan, "after": np.nan, "iterations": 0}
         if gradient == "consistent":
-            self.correction = consistency.correct(self.kernel, mesh, self.layer)
+            self.correction = consistency.correct(
+                self.kernel, mesh, self.layer, max_iterations=max_iterations
+            )
         self.particles = join_bodies(self.bodies, d, transfer == "apic")
         self.particles.cell[:] = locate.find_cells(mesh, self.particles.position)
         self.cell_size = cell_sizes(mesh)
@@ -103,7 +115,6 @@ class Simulation:
         self.status = np.zeros(n, np.int8)
         self.force = np.zeros((0, d))
         self.smallest_mass = 1e-12 * self.particles.mass.min()
-        self.wave_speed = np.array([b.material.wave_speed() for b in self.bodies])
 
     def step(self, dt):
         """One step of Algorithm 1.
@@ -145,7 +156,7 @@ class Simulation:
         p = self.particles
         grid.clear(self.grids, self.vertices, self.num_vertices)
         if self.body_force is not None:
-            self.force = p.mass[:, None] * self.body_force(p.position, self.time)
+            self.force = p.mass[:, None] * self.acceleration()
         fixed = (self.active, self.start, self.order, p.position, p.velocity, optional(p.affine), p.mass)
         fields = (p.volume, p.stress, optional(self.force), self.kernel.rings, self.kernel.correction)
 
@@ -157,11 +168,21 @@ class Simulation:
         if self.threads > 1:
             grid.sum_threads(self.grids, self.vertices, self.num_vertices)
 
+    def acceleration(self):
+        """(n, d) body force per mass at the particles."""
+        b, shape = self.body_force, self.particles.position.shape
+        b = np.asarray(b(self.particles.position, self.time) if callable(b) else b, float)
+        if b.shape not in (shape, shape[1:]):
+            raise ValueError(f"body_force of shape {b.shape}: give ({shape[1]},) or {shape}")
+        return np.broadcast_to(b, shape)
+
     def update_grid(self, dt):
         """Fold mirrors, update velocities, apply walls, fill mirrors."""
         layer, nv = self.layer, len(self.mesh.points)
         drift, change = self.wall_motion(dt)
-        grid.fold_mirrors(self.grids[0], self.stamp, self.steps, nv, layer.owner, layer.fold, drift[0])
+        grid.fold_mirrors(
+            self.grids[0], self.stamp, self.steps, nv, layer.owner, layer.fold, drift[0], self.gravity
+        )
         dropped, lost = grid.update_velocity(
             self.grids[0],
             self.vertices,
@@ -175,8 +196,13 @@ class Simulation:
         )
         self.dropped_vertices += dropped
         self.lost_momentum += lost
-        grid.constrain(layer.vertices, layer.project, drift[1], change[1], self.velocity, self.increment)
-        grid.fill_mirrors(nv, layer.owner, layer.fold, drift[0], change[0], self.velocity, self.increment)
+        active = (self.stamp, self.steps)
+        grid.constrain(
+            *active, layer.vertices, layer.project, drift[1], change[1], self.velocity, self.increment
+        )
+        grid.fill_mirrors(
+            *active, nv, layer.owner, layer.fold, drift[0], change[0], self.velocity, self.increment
+        )
 
     def wall_motion(self, dt):
         """What moving walls add to mirror and wall vertices: velocities, and their change in a step."""
@@ -185,8 +211,9 @@ class Simulation:
             return self.motion
         drift, change = [[np.zeros((n, d)) for n in shapes] for _ in range(2)]
         for wall, *matrices in self.layer.moving:
-            now = np.asarray(wall.velocity_at(self.time + dt), float)
-            before = np.asarray(wall.velocity_at(self.time), float)
+            before, now = (np.asarray(wall.velocity_at(self.time + s), float) for s in (0.0, dt))
+            if now.shape != (d,):
+                raise ValueError(f"wall {wall.boundary!r}: velocity of shape {now.shape}, give ({d},)")
             for i, matrix in enumerate(matrices):
                 drift[i] += matrix @ now
                 change[i] += matrix @ (now - before)
@@ -265,10 +292,11 @@ class Simulation:
             raise error
 
     def stable_step(self):
-        """Time step cfl * min h / (c + |v|) over the particles."""
+        """Time step cfl * min h / (c + |v|) over the particles, c the wave speed in their present state."""
         p = self.particles
         rate = 0.0
-        for c, part in zip(self.wave_speed, p.ranges, strict=True):
+        for body, part in zip(self.bodies, p.ranges, strict=True):
+            c = body.material.wave_speed(*extremes(p.deformation_gradient[part]))
             rate = max(rate, signal_rate(p.velocity[part], p.cell[part], c, self.cell_size))
         return self.cfl / rate
 
@@ -289,13 +317,13 @@ class Simulation:
         """A few lines on the scene: sizes, active parts, correction, counters."""
         p, k = self.particles, self.kernel
         negative, least = negative_weights(k, p.position, p.cell)
-        parts = [f"{'+' if on else '-'} {name}" for name, on in self.active_parts().items()]
+        parts = [f"  {'on ' if on else 'off'}  {name}" for name, on in self.active_parts().items()]
         return "\n".join(
             [
-                f"{len(p)} particles in {len(self.bodies)} bodies, {len(self.mesh.cells)} cells, "
+                f"{len(p)} particles, bodies: {len(self.bodies)}, {len(self.mesh.cells)} cells, "
                 f"{len(self.mesh.points)} vertices, {len(self.layer.owner)} mirror vertices",
                 *parts,
-                f"consistency: largest int g {self.correction['before']:.1e} -> "
+                f"consistent gradients: largest |int g| {self.correction['before']:.1e} -> "
                 f"{self.correction['after']:.1e} of int w / h in {self.correction['iterations']} iterations",
                 f"negative weights: {negative} particles see one, the least is {least:.3g}",
                 f"vertices left out for lack of mass: {self.dropped_vertices} in {self.steps} steps, "

@@ -24,7 +24,8 @@ class Wall:
     ----------
     boundary : name of the boundary, see `SimplexMesh.boundaries`
     kind : "sticky" (velocity prescribed) or "slip" (only its normal component)
-    velocity : wall velocity, (d,) or a function of time returning it; at rest when not given
+    velocity : wall velocity, (d,) or a function of time returning it; at rest when not given. The mesh
+        does not move with the wall: it is for walls that slide along themselves, or move little
     """
 
     boundary: str = "boundary"
@@ -55,7 +56,7 @@ class WallLayer:
     moving : list of (wall, mirror_drift (ng, d, d), vertex_drift (nw, d, d)): what the velocity of
         each moving wall adds to the mirror and to the wall vertices
     open_facets : (no, d) int32 exterior facets without a wall
-    incomplete : (ni,) int32 vertices next to a wall that have no mirror image (re-entrant corners)
+    incomplete : (ni,) int32 vertices without an image in a patch next to them (re-entrant corners)
     """
 
     points: np.ndarray
@@ -241,7 +242,7 @@ def reflections(mesh, walls, patches):
             mirror = np.eye(d) - 2 * np.outer(normal, normal)
             fold = mirror if walls[patch.wall].kind == "slip" else -np.eye(d)
             images.setdefault(i, []).append(Image(normal, foot, fold, attached, patch.wall))
-    return images, np.array(sorted(rejected - set(images)), np.int32)
+    return images, np.array(sorted(rejected), np.int32)
 
 
 def closest_point(x, facets):

@@ -74,8 +74,10 @@ def test_cantilever(tmp_path):
 
 
 def test_sphere_container(tmp_path):
-    """The body stays inside, energy only falls (elastic material, walls do no work)."""
+    """The body stays inside, energy does not rise by more than symplectic steps do, and by symmetry the
+    centre of mass stays, to what an irregular mesh of seven cells across does to the two tetrahedra."""
     result = run_demo("sphere_container", tmp_path, "--h", "0.15", "--body-h", "0.15", "--until", "0.005")
     assert 0.42 < result["reach"] < 0.5
-    assert result["energy"].max() < 1.001
+    assert result["energy"].max() < 1.01
+    assert result["centre"] < 0.02
     check_files(result["record"], 20)

@@ -8,7 +8,7 @@ import meshio
 import numpy as np
 import pytest
 
-from fempm import compat  # before DOLFINx: it loads the right MPI
+from fempm import compat, fill_cells  # before DOLFINx: it loads the right MPI
 from fempm.mesh import from_dolfinx, read_mesh
 
 # isort: split
@@ -277,3 +277,20 @@ def test_without_gmsh(monkeypatch):
 def test_other_formats_need_no_gmsh():
     code = "import sys; sys.modules['gmsh'] = None; import fempm.mesh, fempm.compat, fempm.gmsh_reader"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_regions_of_a_file_become_bodies(gmsh, tmp_path):
+    """Two physical surfaces of areas 1 and 3: regions by name, filled one by one."""
+    (tmp_path / "two.geo").write_text(
+        'SetFactory("OpenCASCADE");\nRectangle(1) = {0, 0, 0, 1, 1};\nRectangle(2) = {1, 0, 0, 3, 1};\n'
+        'Coherence;\nPhysical Surface("soft") = {1};\nPhysical Surface("hard") = {2};\n'
+        "Mesh.MeshSizeMax = 0.3;\n"
+    )
+    mesh = read_mesh(tmp_path / "two.geo")
+    assert set(mesh.regions) == {"soft", "hard"}
+    for name, area in (("soft", 1), ("hard", 3)):
+        x, volume = fill_cells(mesh, 4, region=name)
+        assert volume.sum() == pytest.approx(area, rel=1e-12)
+        assert np.all((x[:, 0] < 1) == (name == "soft"))
+    with pytest.raises(KeyError, match="unknown region 'wet': this mesh has .'hard', 'soft'."):
+        fill_cells(mesh, 4, region="wet")
