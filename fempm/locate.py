@@ -183,24 +183,24 @@ def put_back(axes, b, x, c, cells, points):
 def sort_by_cell(cell, count, order, active, start):
     """Counting sort: `order` lists particles cell by cell; active cells and their ranges in it.
 
-    `count` (nc + 1,) is scratch. Returns the number of active cells.
+    Cells come in the order in which particles first touch them; cells without particles cost nothing.
+    `count` (nc + 1,) is scratch, zero before and after. Returns the number of active cells.
     """
-    count[:] = 0
+    active_cells = 0
     for c in cell:
+        if count[c] == 0:
+            active[active_cells] = c
+            active_cells += 1
         count[c] += 1
     total = 0
-    active_cells = 0
-    for c in range(len(count)):
-        n = count[c]
-        count[c] = total
-        if n > 0:
-            active[active_cells] = c
-            start[active_cells] = total
-            active_cells += 1
-        total += n
+    for i in range(active_cells):
+        start[i] = total
+        total += count[active[i]]
+        count[active[i]] = start[i]
     start[active_cells] = total
     for p in range(len(cell)):
-        c = cell[p]
-        order[count[c]] = p
-        count[c] += 1
+        order[count[cell[p]]] = p
+        count[cell[p]] += 1
+    for i in range(active_cells):
+        count[active[i]] = 0
     return active_cells
