@@ -12,7 +12,7 @@ from numba import njit
 
 from .mesh import mean_edge_length
 from .walls import attached_adjacency
-from .weights import MAX_RING, PHI, ROW, SIZE, D, R, Rings, W, barycentric, gather_ring, weights
+from .weights import MAX_RING, PHI, ROW, SIZE, D, R, Rings, W, barycentric, gather_ring, optional, weights
 
 # smaller is more accurate, larger has fewer negative weights (README, "Where the numbers come from")
 SUPPORT = {1: 1.0, 2: 1.1, 3: 1.1}
@@ -62,11 +62,6 @@ class Kernel:
             self.ring_vertex,
             self.ring_mask,
         )
-
-    @property
-    def correction(self):
-        """phi, or None where the gradient is the plain one."""
-        return self.phi if len(self.phi) else None
 
 
 def build_kernel(mesh, layer, support=None, diminishing=True):
@@ -193,7 +188,7 @@ def evaluate_many(kernel, x, cell):
     """Weights (n, MAX_RING) and gradients (n, MAX_RING, d) at points x (n, d) of given cells (n,)."""
     w = np.zeros((len(x), MAX_RING))
     g = np.zeros((len(x), MAX_RING, kernel.dim))
-    tabulate(kernel.axes, np.ascontiguousarray(x, float), cell, kernel.rings, kernel.correction, w, g)
+    tabulate(kernel.axes, np.ascontiguousarray(x, float), cell, kernel.rings, optional(kernel.phi), w, g)
     return w, g
 
 

@@ -12,6 +12,7 @@ from .materials import extremes
 from .mesh import mean_edge_length
 from .particles import Body, join_bodies
 from .walls import Wall, wall_layer
+from .weights import optional
 
 TRANSFERS = ("apic", "flip", "pic")
 
@@ -158,7 +159,7 @@ class Simulation:
         if self.body_force is not None:
             self.force = p.mass[:, None] * self.acceleration()
         fixed = (self.active, self.start, self.order, p.position, p.velocity, optional(p.affine), p.mass)
-        fields = (p.volume, p.stress, optional(self.force), self.kernel.rings, self.kernel.correction)
+        fields = (p.volume, p.stress, optional(self.force), self.kernel.rings, optional(self.kernel.phi))
 
         def share(thread):
             first, last = self.shares[thread : thread + 2]
@@ -227,7 +228,7 @@ class Simulation:
         fields = (
             p.deformation_gradient,
             self.kernel.rings,
-            self.kernel.correction,
+            optional(self.kernel.phi),
             self.velocity,
             optional(self.increment),
         )
@@ -331,11 +332,6 @@ class Simulation:
                 f"particles put back on a wall: {self.wall_hits}",
             ]
         )
-
-
-def optional(array):
-    """The array, or None if it is empty: compiled code then leaves out what would use it."""
-    return array if len(array) else None
 
 
 def cell_sizes(mesh):

@@ -45,6 +45,11 @@ class Rings(NamedTuple):
     mask: np.ndarray
 
 
+def optional(array):
+    """The array, or None if it is empty: compiled code then leaves out what would use it."""
+    return array if len(array) else None
+
+
 @njit(**options)
 def gather_ring(axes, s, cell, rings, phi):
     """Copy the ring of `cell` into the scratch table; return its padded length."""
