@@ -4,12 +4,16 @@ Every law gives, for deformation gradients F (n, d, d), the Kirchhoff stress tau
 (n, d, d), which is what enters f_i = -sum_p V0_p tau_p grad w_ip (thesis eq. 2.8 with V = J V0), and
 the energy per initial volume psi (n,) with P = d psi / d F. In two dimensions F is in plane strain.
 Loops are compiled; a law of one's own needs a density and the same three methods, in NumPy if one likes.
+`state` names the internal variables per particle that a law has, with the shape of each, e.g.
+{"plastic_strain": ()}: both functions of F get them by keyword and may change them (see `plasticity`).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+
+from .spectral import compose, determinant, kernel_options, principal_strains
 
 
 @dataclass(frozen=True)
@@ -19,6 +23,7 @@ class Elastic:
     density: float
     young: float
     poisson: float = 0.0
+    state = {}
 
     def __post_init__(self):
         name = type(self).__name__
@@ -103,22 +108,11 @@ class Hencky(Elastic):
         least_log = np.log(jacobian) - 2 * np.log(stretch)  # of the third stretch, the others largest
         return lam + 2 * mu - lam * np.log(jacobian) - 2 * mu * least_log
 
-    def kirchhoff_stress(self, deformation_gradient, out):
-        lam, mu = self.lame
-        f = deformation_gradient
-        j = np.linalg.det(f)
-        bad = np.flatnonzero(~((j > 0) & (j < np.inf)))
-        if len(bad):  # eigh raises an error of its own where a number is not finite
-            return int(bad[0])
-        squares, axes = np.linalg.eigh(f @ np.swapaxes(f, 1, 2))
-        logs = 0.5 * np.log(np.maximum(squares, 1e-300))
-        principal = 2 * mu * logs + lam * logs.sum(axis=1, keepdims=True)
-        np.einsum("nik,nk,njk->nij", axes, principal, axes, out=out)
-        return -1
+    def _stress(self, f, lam, mu, out):
+        return hencky_stress(f, lam, mu, out)
 
     def _energy(self, f, lam, mu):
-        logs = np.log(np.linalg.svd(f, compute_uv=False))
-        return mu * np.sum(logs**2, axis=1) + 0.5 * lam * np.sum(logs, axis=1) ** 2
+        return hencky_energy(f, None, lam, mu)
 
 
 @dataclass(frozen=True)
@@ -132,6 +126,7 @@ class WeaklyCompressibleFluid:
     density: float
     bulk: float
     gamma: float = 7.0
+    state = {}
 
     def __post_init__(self):
         for name in ("density", "bulk"):
@@ -154,23 +149,6 @@ class WeaklyCompressibleFluid:
         """Energy per initial volume psi (n,), zero at J = 1."""
         j, g = np.linalg.det(deformation_gradient), self.gamma
         return self.bulk / g * (j ** (1 - g) / (g - 1) + j - g / (g - 1))
-
-
-kernel_options = {"cache": True, "nogil": True, "error_model": "numpy"}
-
-
-@njit(**kernel_options)
-def determinant(f, p):
-    """det f[p] of (d, d) matrices, d <= 3; an index, as a view f[p] would count references."""
-    if f.shape[1] == 1:
-        return f[p, 0, 0]
-    if f.shape[1] == 2:
-        return f[p, 0, 0] * f[p, 1, 1] - f[p, 0, 1] * f[p, 1, 0]
-    return (
-        f[p, 0, 0] * (f[p, 1, 1] * f[p, 2, 2] - f[p, 1, 2] * f[p, 2, 1])
-        - f[p, 0, 1] * (f[p, 1, 0] * f[p, 2, 2] - f[p, 1, 2] * f[p, 2, 0])
-        + f[p, 0, 2] * (f[p, 1, 0] * f[p, 2, 1] - f[p, 1, 1] * f[p, 2, 0])
-    )
 
 
 @njit(**kernel_options)
@@ -260,6 +238,35 @@ def st_venant_kirchhoff_stress(f, lam, mu, out):
                         t += f[p, a, c] * s[c, e] * f[p, b, e]
                 out[p, a, b] = t
     return bad
+
+
+@njit(**kernel_options)
+def hencky_stress(f, lam, mu, out):
+    """tau = sum (2 mu e_i + lambda sum e) n_i n_i^T; particles without a volume are left out."""
+    logs, axes = np.empty(3), np.empty((3, 3))
+    bad = -1
+    for p in range(len(f)):
+        volume = principal_strains(f, p, 0.0, logs, axes)
+        if np.isnan(volume):
+            bad = p if bad < 0 else bad
+            continue
+        for i in range(3):
+            logs[i] = 2 * mu * logs[i] + lam * volume
+        compose(axes, logs, out, p)
+    return bad
+
+
+@njit(**kernel_options)
+def hencky_energy(f, lateral, lam, mu):
+    """(n,) mu sum(e_i^2) + lambda (sum e)^2 / 2, nan without a volume; `lateral` (n,), None for zeros."""
+    logs, axes = np.empty(3), np.empty((3, 3))
+    out = np.empty(len(f))
+    for p in range(len(f)):
+        across = 0.0 if lateral is None else lateral[p]
+        volume = principal_strains(f, p, across, logs, axes)
+        square = logs[0] ** 2 + logs[1] ** 2 + logs[2] ** 2
+        out[p] = mu * square + 0.5 * lam * volume**2
+    return out
 
 
 @njit(**kernel_options)
