@@ -1,31 +1,35 @@
-"""Energies and momenta of a simulation's particles."""
+"""Energies and momenta of a simulation's particles, of all ranks together: all functions are collective."""
 
 import numpy as np
 
 
 def energies(simulation):
-    """Kinetic, elastic and gravity energy, dict of floats (J, per unit depth in 2D).
+    """Kinetic, elastic, gravity and dissipated energy, dict of floats (J, per unit depth in 2D).
 
     The kinetic energy is that of the particle velocities; what APIC keeps in its affine matrices is not
-    in it. Gravity energy is relative to the origin.
+    in it. Gravity energy is relative to the origin. "dissipated" is there with plastic materials only.
     """
     p = simulation.particles
-    elastic = sum(
-        float(p.volume[part] @ body.material.energy(p.deformation_gradient[part]))
-        for body, part in zip(simulation.bodies, p.ranges, strict=True)
-    )
-    return {
+    elastic = 0.0
+    for body, part in zip(simulation.bodies, p.ranges, strict=True):
+        state = {name: p.state[name][part] for name in getattr(body.material, "state", ())}
+        elastic += float(p.volume[part] @ body.material.energy(p.deformation_gradient[part], **state))
+    out = {
         "kinetic": 0.5 * float(p.mass @ np.sum(p.velocity**2, axis=1)),
         "elastic": elastic,
         "gravity": -float(p.mass @ (p.position @ simulation.gravity)),
     }
+    if "dissipation" in p.state:
+        out["dissipated"] = float(p.volume @ p.state["dissipation"])
+    total = simulation.ranks.sum(np.array(list(out.values())))
+    return dict(zip(out, total.tolist(), strict=True))
 
 
 def linear_momentum(simulation, body=None):
     """(d,) sum of m v over the particles of one body, or of all."""
     p = simulation.particles
     part = slice(None) if body is None else p.ranges[body]
-    return p.mass[part] @ p.velocity[part]
+    return simulation.ranks.sum(p.mass[part] @ p.velocity[part])
 
 
 def angular_momentum(simulation):
@@ -38,7 +42,7 @@ def angular_momentum(simulation):
     moment = np.einsum("pa,pb->ab", x, mv)
     if len(p.affine):
         moment += np.einsum("p,pba->ab", p.mass, p.affine)
-    spin = moment - moment.T
+    spin = simulation.ranks.sum(moment - moment.T)
     if len(spin) < 2:
         return np.empty(0)
     return np.array([spin[0, 1]]) if len(spin) == 2 else spin[[1, 2, 0], [2, 0, 1]]
@@ -46,8 +50,9 @@ def angular_momentum(simulation):
 
 def summary(simulation):
     """Everything above as one flat dict, the columns of a run's CSV log."""
-    out = {"time": simulation.time, "dt": simulation.dt, **energies(simulation)}
-    out["total"] = out["kinetic"] + out["elastic"] + out["gravity"]
+    energies_now = energies(simulation)
+    out = {"time": simulation.time, "dt": simulation.dt, **energies_now}
+    out["total"] = sum(energies_now.values())
     names = "xyz"[: simulation.mesh.dim]
     out |= {f"momentum_{a}": m for a, m in zip(names, linear_momentum(simulation), strict=True)}
     spin = angular_momentum(simulation)

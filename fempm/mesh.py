@@ -5,15 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
+from .parallel import Ranks
+
 SIMPLICES = ("interval", "triangle", "tetrahedron")
 
 
 @dataclass
 class SimplexMesh:
-    """A mesh of intervals, triangles or tetrahedra.
-
-    Arrays are local to the MPI rank: owned vertices and cells come first, copies of other ranks'
-    ones after them.
+    """A mesh of intervals, triangles or tetrahedra, the whole of it on every MPI rank.
 
     Attributes
     ----------
@@ -24,31 +23,22 @@ class SimplexMesh:
     adjacency_start, adjacency : CSR lists of each vertex's edge neighbours, without itself
     boundaries : boundary name -> (nf, d) int32 vertices of its facets; "boundary" is all of it
     regions : region name -> int32 numbers of its cells, from the physical groups or cell tags of a file
-    num_owned_vertices, num_owned_cells : how many of the local ones this rank owns
-    global_vertices, global_cells : (nv,), (nc,) int64 numbers across all ranks
     """
 
     points: np.ndarray
     cells: np.ndarray
     boundaries: dict = field(default_factory=dict)
     regions: dict = field(default_factory=dict)
-    num_owned_vertices: int = -1
-    num_owned_cells: int = -1
-    global_vertices: np.ndarray = None
-    global_cells: np.ndarray = None
 
     def __post_init__(self):
         self.points = np.ascontiguousarray(self.points, np.float64)
         self.cells = np.ascontiguousarray(self.cells, np.int32)
-        nv, nc = len(self.points), len(self.cells)
+        nv = len(self.points)
         if self.cells.ndim != 2 or self.cells.shape[1] != self.dim + 1:
             raise ValueError(
                 f"cells of shape {self.cells.shape} are no simplices of dimension {self.dim}: "
                 f"give (n, {self.dim + 1}) vertex numbers"
             )
-        if self.num_owned_vertices < 0:
-            self.num_owned_vertices, self.num_owned_cells = nv, nc
-            self.global_vertices, self.global_cells = np.arange(nv), np.arange(nc)
         edges = self.points[self.cells[:, 1:]] - self.points[self.cells[:, :1]]
         determinant = np.linalg.det(edges)
         flat = np.flatnonzero(np.abs(determinant) <= 1e-14 * np.ptp(self.points, axis=0).max() ** self.dim)
@@ -163,31 +153,47 @@ def from_dolfinx(mesh, facet_tags=None, names=None, boundaries=None, cell_tags=N
         raise ValueError(
             f"{kind} mesh embedded in {gdim}D space: give a mesh with as many coordinates as {tdim}"
         )
-    owned_vertices, global_vertices, _ = compat.index_map_arrays(mesh, 0)
-    owned_cells, global_cells, _ = compat.index_map_arrays(mesh, tdim)
-    wrapped = SimplexMesh(
-        compat.vertex_points(mesh),
-        compat.cell_vertices(mesh),
-        num_owned_vertices=owned_vertices,
-        num_owned_cells=owned_cells,
-        global_vertices=global_vertices,
-        global_cells=global_cells,
-    )
-    for name, facets in tagged_entities(mesh, facet_tags, names):
-        wrapped.boundaries[name] = compat.facet_vertices(mesh, facets)
-    wrapped.regions.update(tagged_entities(mesh, cell_tags, region_names))
+    if mesh.comm.size > 1:
+        wrapped = gathered(mesh, facet_tags, names, cell_tags, region_names)
+    else:
+        wrapped = SimplexMesh(compat.vertex_points(mesh), compat.cell_vertices(mesh))
+        for name, facets in tagged_entities(mesh, facet_tags, names):
+            wrapped.boundaries[name] = compat.facet_vertices(mesh, facets)
+        wrapped.regions.update(tagged_entities(mesh, cell_tags, region_names))
     for name, predicate in (boundaries or {}).items():
         mark_boundary(wrapped, name, predicate)
     return wrapped
 
 
+def gathered(mesh, facet_tags, names, cell_tags, region_names):
+    """The whole of a mesh that is spread over ranks, as one rank would have it. Collective.
+
+    The first rank makes it again from the points and cells in the order in which they were given, so
+    that vertices and cells have the same numbers on any number of ranks.
+    """
+    from mpi4py import MPI
+
+    from . import compat
+
+    data = compat.gather_mesh(mesh, cell_tags, facet_tags)
+    made = error = None
+    if mesh.comm.rank == 0:
+        try:
+            alone, *tags = compat.scatter_mesh(MPI.COMM_SELF, *data)
+            made = from_dolfinx(alone, tags[1], names, None, tags[0], region_names)
+        except ValueError as problem:
+            error = problem
+    compat.raise_everywhere(mesh.comm, error)
+    return mesh.comm.bcast(made)
+
+
 def tagged_entities(mesh, tags, names):
-    """Pairs (name, local entities) of a DOLFINx MeshTags, the same names on all ranks. Collective."""
+    """Pairs (name, entities) of the DOLFINx MeshTags of a mesh on one rank."""
     if tags is None:
         return []
     called = {value: name for name, value in (names or {}).items()}
-    values = set().union(*mesh.comm.allgather(set(tags.values.tolist())))
-    return [(called.get(v, str(v)), tags.indices[tags.values == v]) for v in sorted(values)]
+    values = np.unique(tags.values).tolist()
+    return [(called.get(v, str(v)), tags.indices[tags.values == v]) for v in values]
 
 
 def mark_boundary(mesh, name, predicate):
@@ -217,21 +223,26 @@ def read_mesh(path, boundaries=None, **parameters):
     ImportError
         for gmsh files where the package gmsh is not installed
     """
-    from . import compat, gmsh_reader  # before MPI: see there
-
-    # isort: split
-    from mpi4py import MPI
-
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"mesh file {path} does not exist")
     if parameters and path.suffix != ".geo":
         raise ValueError(f"{path}: parameters ({', '.join(parameters)}) can only be set in a .geo file")
+    return Ranks().broadcast(lambda: read_alone(path, boundaries, parameters))
+
+
+def read_alone(path, boundaries, parameters):
+    """`read_mesh` on one rank."""
+    from . import compat, gmsh_reader  # before MPI: see there
+
+    # isort: split
+    from mpi4py import MPI
+
     if path.suffix == ".xdmf":
-        mesh, cell_tags, facet_tags = compat.read_xdmf_mesh(MPI.COMM_WORLD, path)
+        mesh, cell_tags, facet_tags = compat.read_xdmf_mesh(MPI.COMM_SELF, path)
         names = region_names = None
     elif path.suffix in (".geo", ".msh"):
-        mesh, cell_tags, facet_tags, found = gmsh_reader.read_gmsh(MPI.COMM_WORLD, path, parameters)
+        mesh, cell_tags, facet_tags, found = gmsh_reader.read_gmsh(MPI.COMM_SELF, path, parameters)
         region_names, names = (
             {name: tag for (dim, name), tag in found.items() if dim == mesh.topology.dim - codim}
             for codim in (0, 1)

@@ -1,6 +1,5 @@
 """The explicit material point method: scene, time step and run loop (thesis Algorithm 1)."""
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -10,11 +9,14 @@ from . import consistency, grid, locate, transfer
 from .kernel import build_kernel, check_cells, negative_weights
 from .materials import extremes
 from .mesh import mean_edge_length
+from .parallel import Borders, Ranks, bisect, migrate
 from .particles import Body, join_bodies
 from .walls import Wall, wall_layer
 from .weights import optional
 
 TRANSFERS = ("apic", "flip", "pic")
+SORT_EVERY = 100  # steps after which particles are sorted in memory; a sort costs a fifth of a step
+BALANCE_EVERY = 50  # steps between looks at how the particles are spread over the ranks
 
 
 class SimulationError(RuntimeError):
@@ -39,11 +41,14 @@ class Simulation:
     max_iterations : cap on the solve for consistent gradients, see `consistency`
     cfl : time step over (local mesh size) / (wave speed + particle speed)
     threads : threads of the transfers; one by default
+    imbalance : cells are dealt out again when a rank has more than this many times its fair share of
+        particles; without effect on one rank
 
     Attributes
     ----------
-    particles : Particles
+    particles : Particles, of this rank
     time, steps : simulated time and number of steps taken
+    ranks : Ranks
     """
 
     def __init__(
@@ -61,6 +66,7 @@ class Simulation:
         max_iterations=300,
         cfl=0.3,
         threads=1,
+        imbalance=1.2,
     ):
         if transfer not in TRANSFERS:
             raise ValueError(f"transfer {transfer!r}: give one of {', '.join(TRANSFERS)}")
@@ -68,14 +74,17 @@ class Simulation:
             raise ValueError(f"gradient {gradient!r}: give 'consistent' or 'plain'")
         if not 0 <= flip <= 1:
             raise ValueError(f"flip {flip}: the share of FLIP lies in [0, 1]")
-        if threads < 1 or not cfl > 0:
-            raise ValueError(f"threads {threads}, cfl {cfl}: both must be positive")
-        ranks = os.environ.get("OMPI_COMM_WORLD_SIZE", os.environ.get("PMI_SIZE", "1"))
-        if mesh.num_owned_cells != len(mesh.cells) or int(ranks) > 1:
-            raise ValueError(f"started on {ranks} MPI ranks: simulations run on one rank for now")
+        for name, value, ok in (
+            ("threads", threads, threads >= 1),
+            ("cfl", cfl, cfl > 0),
+            ("imbalance", imbalance, imbalance >= 1),
+        ):
+            if not ok:
+                raise ValueError(f"{name} {value}: give {'more than 0' if name == 'cfl' else 'at least 1'}")
         for given, kind in ((bodies, Body), (walls, Wall)):
             if isinstance(given, kind) or not all(isinstance(item, kind) for item in given):
                 raise TypeError(f"{given!r}: give a list of {kind.__name__}")
+        self.ranks = Ranks()
         self.mesh, self.bodies, self.walls = mesh, list(bodies), list(walls)
         self.transfer, self.cfl, self.body_force = transfer, cfl, body_force
         self.flip = flip if transfer == "flip" else 0.0
@@ -88,34 +97,58 @@ class Simulation:
         check_cells(self.kernel, mesh)
         self.correction = {"solved": False, "before": np.nan, "after": np.nan, "iterations": 0}
         if gradient == "consistent":
-            self.correction = consistency.correct(
-                self.kernel, mesh, self.layer, max_iterations=max_iterations
-            )
+            self.correction, self.kernel.phi = self.ranks.broadcast(lambda: self._correct(max_iterations))
         self.particles = join_bodies(self.bodies, d, transfer == "apic")
         self.particles.cell[:] = locate.find_cells(mesh, self.particles.position)
+        self.smallest_mass = 1e-12 * self.particles.mass.min()
         self.cell_size = cell_sizes(mesh)
         self.bins = locate.cell_bins(mesh)
         self.wall_facet = wall_facets(mesh, self.layer)
-        self.threads = threads
+        self.threads, self.imbalance = threads, imbalance
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self.time, self.steps, self.dt = 0.0, 0, 0.0
         self.dropped_vertices, self.lost_momentum, self.wall_hits = 0, 0.0, 0
         self._allocate()
-        self.update_stress()
+        self.num_particles = len(self.particles)
+        self.distribute(np.bincount(self.particles.cell, minlength=len(mesh.cells)))
+        if self.ranks.size > 1:
+            elsewhere = np.flatnonzero(self.owner[self.particles.cell] != self.ranks.rank)
+            self.particles.replace(elsewhere, {}, np.empty(0, int))
+            self.particles.reserve(len(self.particles) + len(self.particles) // 4 + 64)
+        self.particles.sort_by_cell()
+        self.sort_particles()
+        self.ranks.raise_together(self.update_stress())
+
+    def _correct(self, max_iterations):
+        found = consistency.correct(self.kernel, self.mesh, self.layer, max_iterations=max_iterations)
+        return found, self.kernel.phi
 
     def _allocate(self):
-        n, nv, nc = len(self.particles), len(self.kernel.points), len(self.mesh.cells)
+        nv, nc = len(self.kernel.points), len(self.mesh.cells)
         d = self.mesh.dim
-        self.order = np.empty(n, np.int32)
+        self.order, self.status = np.empty(0, np.int32), np.empty(0, np.int8)
         self.active, self.start = np.empty(nc, np.int32), np.empty(nc + 1, np.int32)
         self.count = np.zeros(nc + 1, np.int32)
         self.stamp, self.vertices = np.full(nv, -1, np.int64), np.empty(nv, np.int32)
         self.grids = np.zeros((self.threads, nv, 1 + 2 * d))
         self.velocity = np.zeros((nv, d))
         self.increment = np.zeros((nv if self.flip > 0 else 0, d))
-        self.status = np.zeros(n, np.int8)
-        self.force = np.zeros((0, d))
-        self.smallest_mass = 1e-12 * self.particles.mass.min()
+        self.force = None
+
+    def distribute(self, count):
+        """Deal the cells out to the ranks, particles `count` (nc,) in each. Collective."""
+        centres = self.mesh.points[self.mesh.cells].mean(axis=1)
+        self.owner = bisect(centres, count, self.ranks.size)
+        rings = (self.kernel.ring_start, self.kernel.ring_vertex)
+        self.borders = Borders(self.ranks, self.owner, *rings, len(self.kernel.points))
+
+    def balance(self):
+        """Deal the cells out again where a rank has too many particles. Collective."""
+        n = len(self.particles)
+        if self.ranks.max(n) > self.imbalance * self.num_particles / self.ranks.size + 1:
+            cells = len(self.mesh.cells)
+            self.distribute(self.ranks.sum(np.bincount(self.particles.cell, minlength=cells)))
+            migrate(self.ranks, self.particles, self.owner)
 
     def step(self, dt):
         """One step of Algorithm 1.
@@ -127,18 +160,28 @@ class Simulation:
         LostParticles
             for particles that left the mesh
         """
-        self.sort_particles()
         self.particle_to_grid()
         self.update_grid(dt)
         self.grid_to_particle(dt)
         self.time += dt
         self.steps += 1
-        self.update_stress()
-        self.locate_particles()
+        lost = self.locate_particles()
+        self.sort_particles()
+        inverted = self.update_stress()
+        self.ranks.raise_together(inverted or lost)
 
     def sort_particles(self):
         """List particles cell by cell, and the vertices and threads' shares of the active cells."""
         p, k = self.particles, self.kernel
+        if self.ranks.size > 1:
+            migrate(self.ranks, p, self.owner)
+            if self.steps % BALANCE_EVERY == 0:
+                self.balance()
+        if self.steps % SORT_EVERY == 0:
+            p.sort_by_cell()
+        if len(p) > len(self.order):
+            room = len(p.stored["mass"])
+            self.order, self.status = np.empty(room, np.int32), np.empty(room, np.int8)
         self.num_active = locate.sort_by_cell(p.cell, self.count, self.order, self.active, self.start)
         self.num_vertices = grid.mark_vertices(
             self.active,
@@ -158,8 +201,9 @@ class Simulation:
         grid.clear(self.grids, self.vertices, self.num_vertices)
         if self.body_force is not None:
             self.force = p.mass[:, None] * self.acceleration()
-        fixed = (self.active, self.start, self.order, p.position, p.velocity, optional(p.affine), p.mass)
-        fields = (p.volume, p.stress, optional(self.force), self.kernel.rings, optional(self.kernel.phi))
+        affine = p.affine if self.transfer == "apic" else None
+        fixed = (self.active, self.start, self.order, p.position, p.velocity, affine, p.mass)
+        fields = (p.volume, p.stress, self.force, self.kernel.rings, optional(self.kernel.phi))
 
         def share(thread):
             first, last = self.shares[thread : thread + 2]
@@ -181,9 +225,7 @@ class Simulation:
         """Fold mirrors, update velocities, apply walls, fill mirrors."""
         layer, nv = self.layer, len(self.mesh.points)
         drift, change = self.wall_motion(dt)
-        grid.fold_mirrors(
-            self.grids[0], self.stamp, self.steps, nv, layer.owner, layer.fold, drift[0], self.gravity
-        )
+        self.fold(drift[0])
         dropped, lost = grid.update_velocity(
             self.grids[0],
             self.vertices,
@@ -205,6 +247,13 @@ class Simulation:
             *active, nv, layer.owner, layer.fold, drift[0], change[0], self.velocity, self.increment
         )
 
+    def fold(self, drift):
+        """Add what mirrors hold to their owners, and what other ranks hold to shared vertices."""
+        layer, nv = self.layer, len(self.mesh.points)
+        active = (self.stamp, self.steps)
+        grid.fold_mirrors(self.grids[0], *active, nv, layer.owner, layer.fold, drift, self.gravity)
+        self.borders.add_shared(self.grids[0], *active)
+
     def wall_motion(self, dt):
         """What moving walls add to mirror and wall vertices: velocities, and their change in a step."""
         d, shapes = self.mesh.dim, (len(self.layer.owner), len(self.layer.vertices))
@@ -224,7 +273,8 @@ class Simulation:
     def grid_to_particle(self, dt):
         """Velocities, positions and deformation gradients of the particles."""
         p = self.particles
-        fixed = (self.active, self.start, self.order, p.position, p.velocity, optional(p.affine))
+        affine = p.affine if self.transfer == "apic" else None
+        fixed = (self.active, self.start, self.order, p.position, p.velocity, affine)
         fields = (
             p.deformation_gradient,
             self.kernel.rings,
@@ -247,21 +297,26 @@ class Simulation:
             list(self.pool.map(share, range(self.threads)))
 
     def update_stress(self):
-        """Kirchhoff stress of every body from its material."""
+        """Kirchhoff stress of every body from its material; returns a SimulationError if one is inverted."""
         p = self.particles
         for body, part in zip(self.bodies, p.ranges, strict=True):
-            bad = body.material.kirchhoff_stress(p.deformation_gradient[part], p.stress[part])
+            state = {name: p.state[name][part] for name in getattr(body.material, "state", ())}
+            bad = body.material.kirchhoff_stress(p.deformation_gradient[part], p.stress[part], **state)
             if bad >= 0:
                 i = part.start + bad
                 j = np.linalg.det(p.deformation_gradient[i])
-                raise SimulationError(
-                    f"particle {i} of body {body.name!r} has det F = {j:.3g}, inverted or not finite, at "
-                    f"time {self.time:.6g}, step {self.steps}, position {p.position[i]}: "
+                return SimulationError(
+                    f"particle {p.id[i]} of body {body.name!r} has det F = {j:.3g}, inverted or not finite, "
+                    f"at time {self.time:.6g}, step {self.steps}, position {p.position[i]}: "
                     "take a smaller cfl or a finer mesh"
                 )
+        return None
 
     def locate_particles(self):
-        """Cells of the moved particles; particles that stepped through a wall are put back on it."""
+        """Cells of the moved particles; those that stepped through a wall are put back on it.
+
+        Returns LostParticles if there are any, None else.
+        """
         p, m = self.particles, self.mesh
         counts = np.zeros((self.threads, 2), np.int64)
         bounds = np.linspace(0, len(p), self.threads + 1).astype(int)
@@ -286,20 +341,53 @@ class Simulation:
         self.on_threads(share)
         hits, lost = counts.sum(axis=0)
         self.wall_hits += hits
-        if lost:
-            ids = np.flatnonzero(self.status == locate.LOST)
-            error = locate.LostParticles(ids, p.position[ids], m.points.min(axis=0), m.points.max(axis=0))
-            error.args = (f"time {self.time:.6g}, step {self.steps}: {error}",)
-            raise error
+        if not lost:
+            return None
+        i = np.flatnonzero(self.status[: len(p)] == locate.LOST)
+        error = locate.LostParticles(p.id[i], p.position[i], m.points.min(axis=0), m.points.max(axis=0))
+        error.args = (f"time {self.time:.6g}, step {self.steps}: {error}",)
+        return error
 
     def stable_step(self):
-        """Time step cfl * min h / (c + |v|) over the particles, c the wave speed in their present state."""
+        """Time step cfl * min h / (c + |v|) over the particles, c the wave speed in their present state.
+
+        Collective.
+        """
         p = self.particles
         rate = 0.0
         for body, part in zip(self.bodies, p.ranges, strict=True):
+            if part.stop == part.start:
+                continue
             c = body.material.wave_speed(*extremes(p.deformation_gradient[part]))
             rate = max(rate, signal_rate(p.velocity[part], p.cell[part], c, self.cell_size))
-        return self.cfl / rate
+        return self.cfl / self.ranks.max(rate)
+
+    def vertex_fields(self):
+        """Mass (nv,) and velocity (nv, d) on the mesh's vertices now, zero without particles. Collective.
+
+        They are complete on the first rank only.
+        """
+        nv, d = len(self.mesh.points), self.mesh.dim
+        self.particle_to_grid()
+        self.fold(self.wall_motion(0.0)[0][0])
+        counted = (self.stamp[:nv] == self.steps) & self.borders.counted[:nv]
+        fields = np.where(counted[:, None], self.grids[0, :nv, : 1 + d], 0.0)
+        fields = self.ranks.sum(fields)
+        mass, momentum = fields[:, 0], fields[:, 1:]
+        seen = mass > self.smallest_mass
+        return {
+            "mass": mass,
+            "velocity": np.where(seen[:, None], momentum / np.where(seen, mass, 1)[:, None], 0),
+        }
+
+    def gather(self, name):
+        """One array of all ranks' particles in the order of `id`, for instance "position". Collective."""
+        p = self.particles
+        field = p.arrays[name] if name in p.arrays else np.asarray(getattr(p, name))
+        number, field = self.ranks.concatenate(p.id), self.ranks.concatenate(field)
+        out = np.empty_like(field)
+        out[number] = field
+        return out
 
     def active_parts(self):
         """Which parts of the method this scene uses: name -> whether it costs anything."""
@@ -312,24 +400,28 @@ class Simulation:
             "body force at particles": self.body_force is not None,
             "gravity": bool(np.any(self.gravity)),
             "threads": self.threads > 1,
+            "several ranks": self.ranks.size > 1,
         }
 
     def report(self):
-        """A few lines on the scene: sizes, active parts, correction, counters."""
-        p, k = self.particles, self.kernel
+        """A few lines on the scene: sizes, active parts, correction, counters. Collective."""
+        p, k, ranks = self.particles, self.kernel, self.ranks
         negative, least = negative_weights(k, p.position, p.cell)
+        negative, least = ranks.sum(negative), -ranks.max(-least)
+        most = ranks.max(len(p)) * ranks.size / self.num_particles
         parts = [f"  {'on ' if on else 'off'}  {name}" for name, on in self.active_parts().items()]
         return "\n".join(
             [
-                f"{len(p)} particles, bodies: {len(self.bodies)}, {len(self.mesh.cells)} cells, "
+                f"{self.num_particles} particles, bodies: {len(self.bodies)}, {len(self.mesh.cells)} cells, "
                 f"{len(self.mesh.points)} vertices, {len(self.layer.owner)} mirror vertices",
+                *([f"{ranks.size} ranks, the fullest has {most:.2f} of its share"] if ranks.size > 1 else []),
                 *parts,
                 f"consistent gradients: largest |int g| {self.correction['before']:.1e} -> "
                 f"{self.correction['after']:.1e} of int w / h in {self.correction['iterations']} iterations",
                 f"negative weights: {negative} particles see one, the least is {least:.3g}",
-                f"vertices left out for lack of mass: {self.dropped_vertices} in {self.steps} steps, "
-                f"momentum lost there: {self.lost_momentum:.2e}",
-                f"particles put back on a wall: {self.wall_hits}",
+                f"vertices left out for lack of mass: {ranks.sum(self.dropped_vertices)} in {self.steps} "
+                f"steps, momentum lost there: {ranks.sum(self.lost_momentum):.2e}",
+                f"particles put back on a wall: {ranks.sum(self.wall_hits)}",
             ]
         )
 

@@ -32,8 +32,8 @@ def bar_run(mesh, h, per_cell, gradient="consistent", log_every=1):
 
     def watch(simulation):
         exact = SPEED / OMEGA * np.sin(OMEGA * simulation.time) * np.sin(WAVE * x[:, 0])
-        error = np.sqrt(np.mean((simulation.particles.position[:, 0] - x[:, 0] - exact) ** 2))
-        return {"error": error, "stress": simulation.particles.cauchy_stress[probe, 0, 0]}
+        error = np.sqrt(np.mean((simulation.gather("position")[:, 0] - x[:, 0] - exact) ** 2))
+        return {"error": error, "stress": simulation.gather("cauchy_stress")[probe, 0, 0]}
 
     record = fempm.run(scene, PERIOD, frames=1, dt=0.01 * h, watch=watch, progress=False, log_every=log_every)
     return 100 * record.log["error"].max() / (SPEED / OMEGA), record.log, x[probe, 0]

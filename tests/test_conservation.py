@@ -92,7 +92,7 @@ def test_disks_collide_as_on_a_structured_grid():
     probe = np.argmin(np.linalg.norm(x, axis=1))
 
     def watch(simulation):
-        stress = simulation.particles.cauchy_stress[probe]
+        stress = simulation.gather("cauchy_stress")[probe]
         return {"momentum": linear_momentum(simulation, 0)[0], "xx": stress[0, 0], "xy": stress[0, 1]}
 
     log = fempm.run(scene, 3.5, frames=1, dt=dt, log_every=5, watch=watch, progress=False).log

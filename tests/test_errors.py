@@ -140,8 +140,8 @@ def test_run_that_goes_wrong(tmp_path, name):
     ((time, points, fields),) = read_frames(found[4])
     assert Path(found[4]) == tmp_path / "out" / "bad_last.xdmf"
     assert time == s.time
-    np.testing.assert_array_equal(points[:, :2], s.particles.position)
-    np.testing.assert_array_equal(fields["velocity"][:, :2], s.particles.velocity)
+    np.testing.assert_array_equal(points[:, :2], s.gather("position"))
+    np.testing.assert_array_equal(fields["velocity"][:, :2], s.gather("velocity"))
 
 
 def test_last_state_without_output(tmp_path, monkeypatch):

@@ -5,6 +5,7 @@ import pytest
 from mesh_factory import cube, graded_interval, rectangle
 
 from fempm import Body, NeoHookean, Simulation, WeaklyCompressibleFluid, fill_box, fill_cells
+from fempm.locate import find_cells
 from fempm.particles import join_bodies
 from fempm.simplex import simplex_points
 
@@ -113,7 +114,10 @@ def test_several_bodies():
     n = len(x)
     assert p.ranges == [slice(0, n), slice(n, 2 * n)]
     np.testing.assert_array_equal(p.body, np.repeat([0, 1], n))
-    np.testing.assert_array_equal(p.velocity[:n], np.stack([-x[:, 1], x[:, 0]], axis=1))
+    assert np.all(np.diff(p.cell[:n]) >= 0) and np.all(np.diff(p.cell[n:]) >= 0)
+    np.testing.assert_array_equal(s.gather("position"), np.concatenate([x, x + 0.5]))
+    np.testing.assert_array_equal(p.id[:n], np.argsort(find_cells(s.mesh, x), kind="stable"))
+    np.testing.assert_array_equal(s.gather("velocity")[:n], np.stack([-x[:, 1], x[:, 0]], axis=1))
     np.testing.assert_array_equal(p.velocity[n:], np.tile([1.0, 2.0], (n, 1)))
     np.testing.assert_allclose(p.volume[n:], 0.0025 / 0.4, rtol=ROUND_OFF)
     np.testing.assert_allclose(p.mass[p.ranges[0]].sum(), 3.0 * 0.09, rtol=ROUND_OFF)
@@ -139,5 +143,5 @@ def test_simulation_leaves_the_body_alone():
     before = body.position.copy()
     s = Simulation(rectangle(5, 5), [body])
     s.step(0.1)
-    assert np.abs(s.particles.position - before).max() == pytest.approx(0.01, rel=1e-9)
+    assert np.abs(s.gather("position") - before).max() == pytest.approx(0.01, rel=1e-9)
     np.testing.assert_array_equal(body.position, before)

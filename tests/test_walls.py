@@ -108,7 +108,7 @@ def mode_error(mesh, mode, wall, per_cell):
     steps = int(np.ceil(np.pi / 2 / omega / scene.stable_step()))
     for _ in range(steps):
         scene.step(np.pi / 2 / omega / steps)
-    off = scene.particles.position - x - size * shape
+    off = scene.gather("position") - x - size * shape
     assert scene.wall_hits == 0
     return np.linalg.norm(off) / np.linalg.norm(size * shape), k
 
