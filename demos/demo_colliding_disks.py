@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 import fempm
-from fempm.cli import print_files, scene_arguments
+from fempm.cli import print_files, run_options, scene_arguments
 from fempm.diagnostics import linear_momentum
 from fempm.picture import snapshot_strip
 
@@ -16,8 +16,8 @@ def main(argv=None):
     args = scene_arguments(
         __doc__,
         argv,
+        until=3.5,
         h=(0.025, "mesh size in m"),
-        until=(3.5, "end of the run in s"),
         transfer=(("flip", "apic"), "transfer scheme"),
     )
     mesh = fempm.read_mesh(MESHES / "collision_box.geo", h=args.h)
@@ -30,14 +30,15 @@ def main(argv=None):
     centre = np.argmin(np.linalg.norm(left.position - 0.2, axis=1))
 
     def watch(simulation):
-        stress = simulation.particles.cauchy_stress[centre]
+        stress = simulation.gather("cauchy_stress")[centre]
         return {"left_momentum_x": linear_momentum(simulation, 0)[0], "stress_xx": stress[0, 0]}
 
-    record = fempm.run(scene, args.until, args.output, watch=watch)
-    log, p = record.log, scene.particles
+    record = fempm.run(scene, **run_options(args), watch=watch)
+    log = record.log
     recovered = -log["left_momentum_x"][-1] / log["left_momentum_x"][0]
     energy = log["total"] / log["total"][0]
-    drift = np.abs(linear_momentum(scene)).max() / (p.mass @ np.linalg.norm(p.velocity, axis=1))
+    size = scene.gather("mass") @ np.linalg.norm(scene.gather("velocity"), axis=1)
+    drift = np.abs(linear_momentum(scene)).max() / size
     moments = [(t, x, np.linalg.norm(v, axis=1)) for t, x, v in record.frames[8:15:3]]
     picture = snapshot_strip(f"{args.output}.png", moments, label="speed (m/s)")
     kinetic = log["kinetic"][-1] / log["kinetic"][0]

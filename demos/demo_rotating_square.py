@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 import fempm
-from fempm.cli import print_files, scene_arguments
+from fempm.cli import print_files, run_options, scene_arguments
 from fempm.diagnostics import angular_momentum, linear_momentum
 from fempm.picture import snapshot_strip
 
@@ -13,7 +13,7 @@ MESHES = Path(__file__).parent.parent / "meshes"
 
 
 def main(argv=None):
-    args = scene_arguments(__doc__, argv, steps=(100_000, "time steps of 1e-5 s"), h=(0.01, "mesh size in m"))
+    args = scene_arguments(__doc__, argv, until=1.0, every=0.2, h=(0.01, "mesh size in m"))
     mesh = fempm.read_mesh(MESHES / "square.geo", h=args.h)
     rubber = fempm.NeoHookean(density=1.0, young=1e4, poisson=0.3)
     square = fempm.Body(
@@ -22,9 +22,9 @@ def main(argv=None):
         velocity=lambda x: np.where(x[:, :1] < 0.5, [0.0, 1.0], [0.0, -1.0]),
     )
     scene = fempm.Simulation(mesh, [square], transfer="apic", threads=args.threads)
-    size = scene.particles.mass @ np.linalg.norm(scene.particles.velocity, axis=1)
+    size = scene.gather("mass") @ np.linalg.norm(scene.gather("velocity"), axis=1)
     start = linear_momentum(scene), angular_momentum(scene)
-    record = fempm.run(scene, args.steps * 1e-5, args.output, frames=5, log_every=1000, dt=1e-5)
+    record = fempm.run(scene, **run_options(args), log_every=1000, dt=1e-5)
     drift = np.abs(linear_momentum(scene) - start[0]).max() / size
     turn = np.abs(angular_momentum(scene) / start[1] - 1).max()
     moments = [(t, x, np.linalg.norm(v, axis=1)) for t, x, v in record.frames[::2]]

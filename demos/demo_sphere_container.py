@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 import fempm
-from fempm.cli import print_files, scene_arguments
+from fempm.cli import print_files, run_options, scene_arguments
 from fempm.picture import snapshot_strip
 
 MESHES = Path(__file__).parent.parent / "meshes"
@@ -15,9 +15,9 @@ def main(argv=None):
     args = scene_arguments(
         __doc__,
         argv,
+        until=0.02,
         h=(0.07, "mesh size of the sphere in m (thesis: 0.025)"),
         body_h=(0.05, "mesh size of the body in m"),
-        until=(0.02, "end of the run in s"),
         wall=(("slip", "sticky"), "what the body does at the wall"),
         cfl=(0.3, "time step over cell size / (wave speed + particle speed)"),
     )
@@ -29,16 +29,17 @@ def main(argv=None):
         mesh, [body], [fempm.Wall("wall", args.wall)], transfer="flip", cfl=args.cfl, threads=args.threads
     )
     print(scene.report())
-    record = fempm.run(scene, args.until, args.output, frames=20)
+    record = fempm.run(scene, **run_options(args))
     moments = [(t, x, np.linalg.norm(v, axis=1)) for t, x, v in record.frames[:: len(record.frames) // 4]]
     picture = snapshot_strip(f"{args.output}.png", moments, label="speed (m/s)")
-    log, p = record.log, scene.particles
-    reach = np.linalg.norm(p.position, axis=1).max()
-    total = log["total"] / log["total"][0]
-    centre = np.linalg.norm(p.mass @ p.position) / p.mass.sum()
+    x, mass = scene.gather("position"), scene.gather("mass")
+    reach = np.linalg.norm(x, axis=1).max()
+    total = record.log["total"] / record.log["total"][0]
+    centre = np.linalg.norm(mass @ x) / mass.sum()
     print(f"{scene.steps} steps; centre of mass off by {centre / 0.5:.1e} of the radius (exact: 0),")
     print(f"energy falls to {total[-1]:.3f} of its start (FLIP damps short waves, see README)")
-    print(f"largest radius {reach:.4f} m of 0.5 m; particles put back on the wall: {scene.wall_hits}")
+    hits = scene.ranks.sum(scene.wall_hits)
+    print(f"largest radius {reach:.4f} m of 0.5 m; particles put back on the wall: {hits}")
     print_files([*record.files, picture])
     return {"energy": total, "centre": centre, "reach": reach, "record": record}
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 import fempm
-from fempm.cli import print_files, scene_arguments
+from fempm.cli import print_files, run_options, scene_arguments
 from fempm.picture import snapshot
 
 LENGTH, SPEED, WAVE, OMEGA = 25.0, 0.75, np.pi / 50, np.pi / 5  # E = 100 Pa, rho = 1: c = 10 m/s
@@ -28,7 +28,7 @@ def main(argv=None):
         "h": (0.5, "mean cell size in m"),
         "gradient": (("consistent", "plain"), "gradient of the kernel"),
     }
-    args = scene_arguments(__doc__, argv, **options)
+    args = scene_arguments(__doc__, argv, until=10.0, **options)
     mesh = background(args.mesh, args.h)
     upper = [LENGTH, *mesh.points.max(axis=0)[1:]]
     x, volume = fempm.fill_box(np.zeros(mesh.dim), upper, args.h / (4 if mesh.dim == 1 else 3))
@@ -42,11 +42,11 @@ def main(argv=None):
 
     def watch(scene):
         exact = SPEED / OMEGA * np.sin(OMEGA * scene.time) * np.sin(WAVE * x[:, 0])
-        off = scene.particles.position[:, 0] - x[:, 0] - exact
-        stress = scene.particles.cauchy_stress[middle, 0, 0]
+        off = scene.gather("position")[:, 0] - x[:, 0] - exact
+        stress = scene.gather("cauchy_stress")[middle, 0, 0]
         return {"rms_error": np.sqrt(np.mean(off**2)), "stress": stress}
 
-    record = fempm.run(scene, 10.0, args.output, log_every=1, dt=0.01 * args.h, watch=watch)
+    record = fempm.run(scene, **run_options(args), log_every=1, dt=0.01 * args.h, watch=watch)
     time, stress = record.log["time"], record.log["stress"]
     error = 100 * record.log["rms_error"].max() / (SPEED / OMEGA)
     picture = snapshot(f"{args.output}.png", time[:, None], stress, label="stress at 12.75 m (Pa)")

@@ -1,9 +1,9 @@
 """Files of a run, XDMF time series and CSV logs, and a progress line."""
 
-import os
 import shutil
 import sys
 import time
+import warnings
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -57,23 +57,69 @@ def _points(x):
     return x
 
 
+def _start_anew(path, error):
+    """Warn that a file cannot be continued; one that is not there needs no warning."""
+    if not isinstance(error, FileNotFoundError):
+        warnings.warn(f"{path} cannot be continued ({error}) and is started anew", stacklevel=4)
+
+
 class _Series(_Closing):
     """Temporal collection: light data in ``path`` (.xdmf), arrays next to it (.h5)."""
 
-    def __init__(self, path):
+    # No lock, and no superblock that marks the file as open: a viewer may read during the run,
+    # and what was flushed stays readable after the run is killed.
+    _HDF5 = {"locking": False, "libver": ("earliest", "v108")}
+    _HEAD = (
+        b'<?xml version="1.0" encoding="utf-8"?>\n<Xdmf Version="3.0"><Domain>\n'
+        b'<Grid Name="series" GridType="Collection" CollectionType="Temporal">\n'
+    )
+    _TAIL = b"</Grid>\n</Domain></Xdmf>\n"
+
+    def __init__(self, path, keep_before=-np.inf):
         self.path = Path(path)
         if self.path.suffix != ".xdmf":
             raise ValueError(f"{path}: the file name must end in .xdmf")
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        self.path.unlink(missing_ok=True)
-        self._frames = []
-        # No lock, and no superblock that marks the file as open: a viewer may read during the run,
-        # and what was flushed stays readable after the run is killed.
-        self._h5 = h5py.File(self.path.with_suffix(".h5"), "w", locking=False, libver=("earliest", "v108"))
+        self.times = []
+        if keep_before == -np.inf or not self._resume(keep_before):
+            self.path.unlink(missing_ok=True)
+            self._h5 = h5py.File(self.path.with_suffix(".h5"), "w", **self._HDF5)
 
     def close(self):
         """Close the HDF5 file; the files on disk are complete after every `write` already."""
         self._h5.close()
+
+    def _resume(self, before):
+        """Take up the frames before a time, drop later ones; False where the files do not allow it."""
+        h5 = None
+        try:
+            text = self.path.read_bytes()
+            if not (text.startswith(self._HEAD) and text.endswith(self._TAIL)):
+                raise ValueError("not written by fempm, or not completely")
+            lines = text[len(self._HEAD) : -len(self._TAIL)].splitlines(keepends=True)
+            grids = [ET.fromstring(line) for line in lines]
+            times = [float(grid.find("Time").get("Value")) for grid in grids]
+            kept = int(np.searchsorted(times, before))
+            h5 = h5py.File(self.path.with_suffix(".h5"), "r+", **self._HDF5)
+            for item in (item for grid in grids[:kept] for item in grid.iter("DataItem")):
+                h5[item.text.split(":/")[1]].shape  # noqa: B018, a KeyError where it is missing
+            for key in [key for key in h5 if key.isdigit() and int(key) >= kept]:
+                del h5[key]
+        except (OSError, ValueError, KeyError, ET.ParseError) as error:
+            if h5 is not None:
+                h5.close()
+            _start_anew(self.path, error)
+            return False
+        self._h5, self.times = h5, times[:kept]
+        self._end = len(self._HEAD) + sum(map(len, lines[:kept]))
+        if kept:
+            with open(self.path, "r+b") as f:
+                f.seek(self._end)
+                f.write(self._TAIL)
+                f.truncate()
+        else:
+            self.path.unlink()
+        return True
 
     def _item(self, parent, key, a):
         if key not in self._h5:
@@ -97,16 +143,16 @@ class _Series(_Closing):
         for centre, name, kind, a in fields:
             attribute = ET.SubElement(grid, "Attribute", Name=name, Center=centre)
             attribute.set("AttributeType", kind)
-            self._item(attribute, f"{len(self._frames)}/{centre}/{name}", a)
+            self._item(attribute, f"{len(self.times)}/{centre}/{name}", a)
         self._h5.flush()
-        self._frames.append(ET.tostring(grid, encoding="unicode"))
-        part = self.path.with_suffix(".xdmf.part")
-        with open(part, "w", encoding="utf-8") as f:
-            f.write('<?xml version="1.0" encoding="utf-8"?>\n<Xdmf Version="3.0"><Domain>\n')
-            f.write('<Grid Name="series" GridType="Collection" CollectionType="Temporal">\n')
-            f.writelines(frame + "\n" for frame in self._frames)
-            f.write("</Grid>\n</Domain></Xdmf>\n")
-        os.replace(part, self.path)
+        frame = ET.tostring(grid, encoding="utf-8") + b"\n"
+        text = frame + self._TAIL if self.times else self._HEAD + frame + self._TAIL
+        # One write over the closing tags, so that the file is complete before and after it.
+        with open(self.path, "r+b" if self.times else "wb", buffering=len(text) + 1) as f:
+            f.seek(self._end if self.times else 0)
+            f.write(text)
+            self._end = f.tell() - len(self._TAIL)
+        self.times.append(float(t))
 
 
 class ParticleFile(_Series):
@@ -126,6 +172,14 @@ class ParticleFile(_Series):
     path : path ending in ``.xdmf``
         The arrays go to the same name ending in ``.h5``; missing folders are made, old files
         replaced.
+    keep_before : float, optional
+        Go on with old files after their frames before this time, and drop the later ones; files
+        that cannot be read are replaced with a warning.
+
+    Attributes
+    ----------
+    times : list of float
+        Times of the frames in the file.
 
     Raises
     ------
@@ -154,7 +208,7 @@ class ParticleFile(_Series):
         x = _points(x)
         n, d = x.shape
         fields = [("Node", name, *_attribute(name, a, n, d)) for name, a in fields.items()]
-        k = len(self._frames)
+        k = len(self.times)
         cells = np.arange(n, dtype=np.int64)[:, None]
         self._write(t, (f"{k}/points", _pad(x, (3,))), (f"cells/{n}", cells), fields)
 
@@ -173,6 +227,8 @@ class MeshFile(_Series):
         Vertex positions in m, d = 1, 2 or 3.
     cells : (nc, d + 1) integer array
         Vertices of the intervals, triangles or tetrahedra.
+    keep_before : float, optional
+        As in `ParticleFile`.
 
     Raises
     ------
@@ -180,13 +236,13 @@ class MeshFile(_Series):
         If ``path`` does not end in ``.xdmf``, or a shape does not fit.
     """
 
-    def __init__(self, path, points, cells):
+    def __init__(self, path, points, cells, keep_before=-np.inf):
         points, cells = _points(points), _numbers("cells", cells)
         self._nv, self._d = points.shape
         self._mesh = ("points", _pad(points, (3,))), ("cells", cells)
         if cells.ndim != 2 or cells.shape[1] != self._d + 1 or cells.dtype.kind != "i":
             raise ValueError(f"cells: {cells.dtype} {cells.shape}, not integer (nc, {self._d + 1})")
-        super().__init__(path)
+        super().__init__(path, keep_before)
 
     def write(self, t, /, *, cell_fields=None, **vertex_fields):
         """Add the fields at time ``t``.
@@ -213,21 +269,48 @@ class MeshFile(_Series):
 
 
 class TimeLog(_Closing):
-    """CSV table with one row for every ``every``-th step; `numpy.genfromtxt` reads it exactly.
+    """CSV table with one row per step that is logged; `numpy.genfromtxt` reads it exactly.
 
     Parameters
     ----------
     path : path
         Missing folders are made, an old file is replaced.
-    every : int
-        Rows are written for the steps that are multiples of it.
+    keep_before : int, optional
+        Go on with an old file after its rows before this step, and drop the later ones; a file that
+        cannot be read is replaced with a warning.
+
+    Attributes
+    ----------
+    columns : dict of name to list
+        The rows of an old file that were kept, without the steps.
     """
 
-    def __init__(self, path, every=1):
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        self._file = open(path, "w", encoding="utf-8")
-        self._every = every
-        self._names = None
+    def __init__(self, path, keep_before=None):
+        self._path = Path(path)
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._names, self.columns = None, {}
+        if keep_before is None or not self._resume(keep_before):
+            self._file = open(path, "w", encoding="utf-8")
+
+    def _resume(self, before):
+        """Take up the rows before a step, drop later ones; False where the file does not allow it."""
+        try:
+            lines = self._path.read_bytes().splitlines(keepends=True)
+            head, *rows = (line.decode().strip().split(",") for line in lines)
+            kept = int(np.searchsorted([int(row[0]) for row in rows], before))
+            if head[0] != "step" or any(len(row) != len(head) for row in rows[:kept]):
+                raise ValueError("not written by fempm")
+            columns = zip(*([float(x) for x in row[1:]] for row in rows[:kept]))
+            self.columns = dict(zip(head[1:], map(list, columns)))
+        except (OSError, ValueError) as error:
+            _start_anew(self._path, error)
+            return False
+        if not kept:
+            return False
+        self._names = head[1:]
+        self._file = open(self._path, "a", encoding="utf-8")
+        self._file.truncate(sum(map(len, lines[: 1 + kept])))
+        return True
 
     def write(self, step, /, **columns):
         """Add a row and flush it; the first row sets the columns, ``step`` and then in order.
@@ -237,8 +320,6 @@ class TimeLog(_Closing):
         ValueError
             If the columns are not those of the first row.
         """
-        if step % self._every:
-            return
         if self._names is None:
             self._names = list(columns)
             print("step", *self._names, sep=",", file=self._file)
@@ -263,9 +344,12 @@ class Progress(_Closing):
         Unit of ``total``.
     stream : text stream, optional
         Standard error unless given.
+    done : float
+        Value at the start, which took none of the time.
     """
 
-    def __init__(self, total, unit="s", stream=None):
+    def __init__(self, total, unit="s", stream=None, done=0.0):
+        self._done = done / total if total else 0.0
         self._total, self._unit, self._stream = total, unit, stream or sys.stderr
         self._tty = self._stream.isatty()
         self._start = time.monotonic()
@@ -276,7 +360,7 @@ class Progress(_Closing):
         """Show that ``value`` of the total is reached; cheap enough to call in every step."""
         now = time.monotonic() - self._start
         part = min(value / self._total, 1.0) if self._total else 1.0
-        left = _clock(now * (1 - part) / part) if part > 0 else "?"
+        left = _clock(now * (1 - part) / (part - self._done)) if part > self._done else "?"
         bar = "#" * int(24 * part)
         self._line = (
             f"[{bar:<24}] {100 * part:5.1f}%  {value:.4g}/{self._total:.4g} {self._unit}"

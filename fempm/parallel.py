@@ -15,6 +15,10 @@ from numba import njit
 LAUNCHERS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK", "SLURM_PROCID")
 
 
+class RemoteError(RuntimeError):
+    """An error of other ranks, raised by all that have none of their own."""
+
+
 class Ranks:
     """The ranks of this program; without an MPI launcher there is one, and MPI is not even loaded."""
 
@@ -37,6 +41,10 @@ class Ranks:
         """Largest of the ranks' numbers."""
         return x if self.comm is None else max(self.comm.allgather(x))
 
+    def min(self, x):
+        """Least of the ranks' numbers."""
+        return -self.max(-x)
+
     def broadcast(self, make):
         """What `make()` returns, or raises, on the first rank."""
         if self.comm is None:
@@ -53,12 +61,12 @@ class Ranks:
         return made
 
     def raise_together(self, error):
-        """Raise this rank's error; a rank without one raises RuntimeError with the others' message."""
+        """Raise this rank's error; a rank without one raises RemoteError with the others' message."""
         if self.max(int(error is not None)) == 0:
             return
         messages = [str(error)] if self.comm is None else self.comm.allgather(error and str(error))
         if error is None:
-            raise RuntimeError("on another rank: " + "; ".join(m for m in messages if m))
+            raise RemoteError("on another rank: " + "; ".join(m for m in messages if m))
         raise error
 
     def concatenate(self, array):

@@ -1,8 +1,10 @@
-"""PNG pictures of particles and of convergence, drawn with matplotlib."""
+"""PNG pictures of particles and of convergence, drawn with matplotlib by the first rank."""
 
 from pathlib import Path
 
 import numpy as np
+
+from .parallel import Ranks
 
 _PLAIN = (0.27, 0.51, 0.71)
 
@@ -75,6 +77,8 @@ def convergence_plot(path, sizes, errors, ylabel, reference_orders=(1, 2)):
     ImportError
         If matplotlib is missing.
     """
+    if Ranks().rank > 0:
+        return path
     figure = _figure(5.2, 4.2)
     ax = figure.subplots()
     sizes = np.asarray(sizes, float)
@@ -120,6 +124,8 @@ def _save(figure, path):
 
 def _strip(path, panels, mesh, label, limits):
     """Panels of (title, x, values) with the same axes."""
+    if Ranks().rank > 0:
+        return path
     figure = _figure(1, 1)
     from matplotlib.cm import ScalarMappable
 

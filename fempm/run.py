@@ -1,29 +1,38 @@
-"""Running a simulation: time loop, output frames, log, progress, and an orderly end when it fails."""
+"""Running a simulation: time loop, output frames, log, checkpoints, and an orderly end when it fails."""
 
+import contextlib
+import sys
+import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import h5py
 import numpy as np
 
 from . import diagnostics
+from .checkpoint import load_checkpoint, save_checkpoint
+from .interrupt import Interrupted, StopRequests
 from .locate import LostParticles
 from .output import MeshFile, ParticleFile, Progress, TimeLog
+from .parallel import RemoteError
 from .solver import SimulationError
 
 
 @dataclass
 class Record:
-    """What a run leaves behind.
+    """What a run leaves behind, the same on all ranks.
 
     Attributes
     ----------
     log : dict name -> (k,) array, the columns of the CSV log (see `diagnostics.summary`)
-    frames : list of (time, positions, velocities) at the output times
+    frames : sequence of (time, positions, velocities) at the output times, particles in the order of
+        their `id`; read from the particle file when asked for, in memory where there is none
     files : paths written
     """
 
     log: dict = field(default_factory=dict)
-    frames: list = field(default_factory=list)
+    frames: Sequence = field(default_factory=list)
     files: list = field(default_factory=list)
 
 
@@ -31,13 +40,18 @@ def run(
     simulation,
     until,
     output=None,
-    frames=20,
+    frames=None,
+    every=None,
     log_every=10,
     dt=None,
     watch=None,
     progress=True,
+    restart=None,
+    checkpoint_every=None,
 ):
-    """Advance a simulation to the time `until`.
+    """Advance a simulation to the time `until`. Collective; the first rank writes all files.
+
+    Ctrl-C and SIGTERM end the run after the step at hand: the state goes to <output>_checkpoint.h5.
 
     Parameters
     ----------
@@ -45,11 +59,14 @@ def run(
     until : final time; steps are shortened evenly so that it and the frames are met exactly
     output : path without ending, for example "results/bar": writes particles (.xdmf), vertex fields
         (_mesh.xdmf) and the log (.csv) beside it; nothing is written when not given
-    frames : number of output frames after the initial one
+    frames : number of output frames after the initial one, 20 when `every` is not given
+    every : time between frames, which are at its multiples and at the end
     log_every : steps between rows of the log
     dt : fixed time step; the stable one of the current state when not given
-    watch : function of the simulation returning a dict, further columns of the log
+    watch : function of the simulation returning a dict, further columns of the log; every rank calls it
     progress : show a progress bar
+    restart : checkpoint to go on from; files of the interrupted run are continued
+    checkpoint_every : seconds of wall time after which, and at the end, <output>_checkpoint.h5 is written
 
     Returns
     -------
@@ -58,46 +75,87 @@ def run(
     Raises
     ------
     SimulationError, LostParticles
-        with time and place; the state at that time is written to <output>_last.xdmf
+        with time and place; the state at that time is written to <output>_last.xdmf. RemoteError
+        on ranks where nothing is wrong
+    Interrupted
+        a SystemExit, after Ctrl-C or SIGTERM
     ValueError
         for a final time before the current one, a time step that is not positive, or no frames
+    CheckpointError
+        if `restart` does not fit, see `load_checkpoint`
     """
-    if not until >= simulation.time:
-        raise ValueError(f"until {until}: the simulation is at time {simulation.time} already")
+    check_options(frames, every, log_every, dt, checkpoint_every)
+    ranks, start = simulation.ranks, simulation.time
+    if restart is not None:
+        load_checkpoint(simulation, restart)
+    times = output_times(start, simulation.time, until, frames, every)
+    record = Record()
+    bar = Progress(until, done=simulation.time) if progress and ranks.rank == 0 else None
+    try:
+        with (
+            StopRequests() as stop,
+            Output(simulation, output, record, watch, resume=restart is not None) as files,
+            bar or contextlib.nullcontext(),
+        ):
+            checkpoints = Checkpoints(files, checkpoint_every, stop)
+            advance_through(simulation, times, dt, log_every, files, checkpoints, bar)
+    except Interrupted as end:
+        message = end.message
+        ranks.broadcast(lambda: print(message, file=sys.stderr, flush=True))
+        raise
+    record.log = {name: np.array(column) for name, column in record.log.items()}
+    return record
+
+
+def check_options(frames, every, log_every, dt, checkpoint_every):
+    """Raise a ValueError for options that are out of range."""
+    if frames is not None and every is not None:
+        raise ValueError(f"frames {frames}, every {every}: give one of them")
+    for name, value in (("every", every), ("checkpoint_every", checkpoint_every)):
+        if value is not None and not value > 0:
+            raise ValueError(f"{name} {value}: it must be positive")
     if dt is not None and not dt > 0:
         raise ValueError(f"dt {dt}: the time step must be positive")
-    if frames < 1 or log_every < 1:
+    if (frames is not None and frames < 1) or log_every < 1:
         raise ValueError(f"frames {frames}, log_every {log_every}: give at least 1 each")
-    record = Record()
-    writers = Writers(simulation, output, record)
-    bar = Progress(until) if progress else None
-    times = np.linspace(simulation.time, until, frames + 1)
+
+
+def output_times(start, now, until, frames, every):
+    """Times of the frames of a run that began at `start`, from now on."""
+    if not until >= now:
+        raise ValueError(f"until {until}: the simulation is at time {now} already")
+    if every is None:
+        times = np.linspace(start, until, (frames or 20) + 1)
+    else:
+        between = every * np.arange(np.floor(start / every) + 1, np.ceil(until / every))
+        apart = (between > start + 1e-9 * every) & (between < until - 1e-9 * every)
+        times = np.array([start, *between[apart], until])
+    return np.unique(times[times >= now])
+
+
+def advance_through(simulation, times, dt, log_every, files, checkpoints, bar):
+    """The time loop: steps up to each output time, with rows of the log, frames and checkpoints."""
+    log, frames = files.record.log, files.record.frames
+    if not log or simulation.steps % log_every == 0:
+        files.row()
+    if not frames and times[0] > simulation.time:
+        files.frame()
     try:
-        log_row(simulation, dt, watch, record, writers)
-        for k, target in enumerate(times):
+        for target in times:
             while simulation.time < target:
                 advance(simulation, target, dt)
                 if simulation.steps % log_every == 0:
-                    log_row(simulation, dt, watch, record, writers)
+                    files.row()
                 if bar:
                     bar.update(simulation.time, f"step {simulation.steps}")
-            p = simulation.particles
-            record.frames.append((simulation.time, p.position.copy(), p.velocity.copy()))
-            writers.frame(k)
-        if record.log["time"][-1] < simulation.time:
-            log_row(simulation, dt, watch, record, writers)
-    except (SimulationError, LostParticles) as error:
-        path = Path(f"{output or 'fempm'}_last.xdmf")
-        with ParticleFile(path) as last:
-            last.write(simulation.time, simulation.particles.position, **particle_fields(simulation))
-        error.args = (f"{error}; last state in {path}",)
+                checkpoints.look()
+            files.frame()
+    except (SimulationError, LostParticles, RemoteError) as error:
+        error.args = (f"{error}; last state in {files.last_state()}",)
         raise
-    finally:
-        writers.close()
-        if bar:
-            bar.close()
-    record.log = {name: np.array(column) for name, column in record.log.items()}
-    return record
+    if log["time"][-1] < simulation.time:
+        files.row()
+    checkpoints.look(at_end=True)
 
 
 def advance(simulation, target, dt):
@@ -111,70 +169,139 @@ def advance(simulation, target, dt):
         simulation.time = target
 
 
-def log_row(simulation, dt, watch, record, writers):
-    """Append one row to the log in memory and on disk."""
-    row = diagnostics.summary(simulation)
-    if watch is not None:
-        row |= watch(simulation)
-    for name, value in row.items():
-        record.log.setdefault(name, []).append(value)
-    writers.row(simulation.steps, row)
-
-
 def particle_fields(simulation):
-    """Fields written with the particles."""
-    p = simulation.particles
+    """Fields written with the particles, in the order of their `id`, on the first rank. Collective."""
+    p, fields = simulation.particles, {}
+    d = p.position.shape[1]
+    names = {name: name for name in ("velocity", "cauchy_stress", "deformation_gradient", "mass", "body")}
+    names |= {"volume": "volume", "jacobian": "jacobian"}
+    for name, array in p.state.items():
+        if array.shape[1:] in ((), (d,), (3,), (d, d), (3, 3)):  # what XDMF has a type for
+            names[name] = f"state/{name}"
     with np.errstate(all="ignore"):
-        return {
-            "velocity": p.velocity,
-            "cauchy_stress": p.cauchy_stress,
-            "deformation_gradient": p.deformation_gradient,
-            "density": p.mass / (p.volume * np.linalg.det(p.deformation_gradient)),
-            "body": p.body,
-            "id": np.arange(len(p)),
-        }
+        for name, source in names.items():
+            array = simulation.gather(source)
+            if simulation.ranks.rank == 0:
+                fields[name] = array
+        if fields:
+            fields["density"] = fields.pop("mass") / (fields.pop("volume") * fields.pop("jacobian"))
+            fields["id"] = np.arange(len(fields["density"]))
+    return fields
 
 
-def vertex_fields(simulation):
-    """Mass and velocity on the mesh's vertices, as the last step left them; zero without particles."""
-    nv = len(simulation.mesh.points)
-    seen = simulation.stamp[:nv] == simulation.steps - 1
-    return {
-        "mass": np.where(seen, simulation.grids[0, :nv, 0], 0.0),
-        "velocity": np.where(seen[:, None], simulation.velocity[:nv], 0.0),
-    }
+class Frames(Sequence):
+    """Frames in a particle file, (time, positions, velocities) each, read when they are asked for."""
+
+    def __init__(self, path, dim, times):
+        self.path, self.dim, self.times = path, dim, times
+
+    def __len__(self):
+        return len(self.times)
+
+    def __getitem__(self, k):
+        if isinstance(k, slice):
+            return [self[i] for i in range(len(self))[k]]
+        k = range(len(self))[k]
+        with h5py.File(self.path, "r") as file:  # locked as a file that the caller may have open, too
+            x, v = (file[f"{k}/{name}"][:, : self.dim] for name in ("points", "Node/velocity"))
+        return self.times[k], x, v
 
 
-class Writers:
-    """The files of one run; does nothing without an output path."""
+class Output:
+    """The files of one run, written by the first rank; all methods are collective.
 
-    def __init__(self, simulation, output, record):
-        self.simulation, self.on = simulation, output is not None
-        if not self.on:
+    Without a path, rows and frames are kept in the record only.
+    """
+
+    def __init__(self, simulation, path, record, watch, resume):
+        self.simulation, self.path, self.record, self.watch = simulation, path, record, watch
+        self.writers = ()
+        if path is None:
             return
-        mesh = simulation.mesh
-        paths = [f"{output}.xdmf", f"{output}_mesh.xdmf", f"{output}.csv"]
-        self.particles = ParticleFile(paths[0])
-        self.mesh = MeshFile(paths[1], mesh.points, mesh.cells)
-        self.log = TimeLog(paths[2])
-        record.files += [Path(p) for p in paths]
+        record.files = [Path(f"{path}{end}") for end in (".xdmf", "_mesh.xdmf", ".csv")]
+        times, record.log = simulation.ranks.broadcast(lambda: self.open(resume))
+        record.frames = Frames(record.files[0].with_suffix(".h5"), simulation.mesh.dim, times)
 
-    def frame(self, k):
-        """Write frame k of particles, and of vertex fields once there are any."""
-        if not self.on:
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exc):
+        for writer in self.writers:
+            writer.close()
+
+    def open(self, resume):
+        """Open the files; returns the times of the frames and the log that are kept of older ones."""
+        s, (particles, mesh, log) = self.simulation, self.record.files
+        # what belongs to the very time of the checkpoint is written again
+        time, step = (s.time, s.steps) if resume else (-np.inf, None)
+        self.writers = (
+            ParticleFile(particles, keep_before=time),
+            MeshFile(mesh, s.mesh.points, s.mesh.cells, keep_before=time),
+            TimeLog(log, keep_before=step),
+        )
+        return list(self.writers[0].times), self.writers[2].columns
+
+    def beside(self, ending):
+        """Path of a further file of this run."""
+        return Path(f"{self.path or 'fempm'}{ending}")
+
+    def frame(self):
+        """Write a frame of particles and vertex fields, or keep it."""
+        s, frames = self.simulation, self.record.frames
+        position = s.gather("position")
+        if self.path is None:
+            frames.append((s.time, position, s.gather("velocity")))
             return
+        fields, on_vertices = particle_fields(s), s.vertex_fields()
+
+        def write():
+            self.writers[0].write(s.time, position, **fields)
+            self.writers[1].write(s.time, **on_vertices)
+
+        s.ranks.broadcast(write)
+        frames.times.append(s.time)
+
+    def row(self):
+        """Add a row to the log in memory and on disk."""
         s = self.simulation
-        self.particles.write(s.time, s.particles.position, **particle_fields(s))
-        if s.steps:
-            self.mesh.write(s.time, **vertex_fields(s))
+        row = diagnostics.summary(s)
+        if self.watch is not None:
+            row |= self.watch(s)
+        for name, value in row.items():
+            self.record.log.setdefault(name, []).append(value)
+        if self.path is not None:
+            s.ranks.broadcast(lambda: self.writers[2].write(s.steps, **row))
 
-    def row(self, step, columns):
-        """Write one row of the log."""
-        if self.on:
-            self.log.write(step, **columns)
+    def last_state(self):
+        """Write the particles of a failed run to a file of their own; returns its path."""
+        s, path = self.simulation, self.beside("_last.xdmf")
+        position, fields = s.gather("position"), particle_fields(s)
 
-    def close(self):
-        """Close all files."""
-        if self.on:
-            for writer in (self.particles, self.mesh, self.log):
-                writer.close()
+        def write():
+            with ParticleFile(path) as last:
+                last.write(s.time, position, **fields)
+
+        s.ranks.broadcast(write)
+        return path
+
+
+class Checkpoints:
+    """When a run writes checkpoints: every so many seconds, at the end, and when it is told to stop."""
+
+    def __init__(self, files, every, stop):
+        self.files, self.every, self.stop = files, every, stop
+        self.path = files.beside("_checkpoint.h5")
+        self.due = np.inf if every is None else time.monotonic() + every
+
+    def look(self, at_end=False):
+        """Write a checkpoint if one is due; raise Interrupted if a rank was told to stop. Collective."""
+        s = self.files.simulation
+        due = time.monotonic() >= self.due or (at_end and self.every is not None)
+        wish = s.ranks.max(2 if self.stop.received else int(due))
+        if wish:
+            save_checkpoint(s, self.path)
+            self.due = np.inf if self.every is None else time.monotonic() + self.every
+        if wish == 2:
+            raise Interrupted(self.path, s.time, s.steps)
+        if wish and self.path not in self.files.record.files:
+            self.files.record.files.append(self.path)

@@ -112,10 +112,10 @@ def test_files_of_a_run(tmp_path, d):
             np.testing.assert_array_equal(fields["id"].ravel(), np.arange(len(points)))
     with meshio.xdmf.TimeSeriesReader(tmp_path / "a" / "run_mesh.xdmf") as reader:
         points, cells = reader.read_points_cells()
-        assert reader.num_steps == 4 and len(cells[0].data) == len(mesh.cells)
-        for k in range(4):
+        assert reader.num_steps == 5 and len(cells[0].data) == len(mesh.cells)
+        for k in range(5):
             t, fields, _ = reader.read_data(k)
-            assert t == times[k + 1]
+            assert t == times[k]
             assert fields["mass"].sum() == pytest.approx(s.particles.mass.sum(), rel=1e-12)
 
 
