@@ -18,6 +18,7 @@ from .materials import (
 )
 from .mesh import SimplexMesh, from_dolfinx, interval_mesh, mark_boundary, read_mesh
 from .particles import Body, fill_box, fill_cells
+from .plasticity import DruckerPrager, J2Softening, VonMises
 from .run import run
 from .solver import Simulation, SimulationError
 from .walls import Wall
@@ -25,7 +26,9 @@ from .walls import Wall
 __version__ = "0.1.0"
 __all__ = [
     "Body",
+    "DruckerPrager",
     "Hencky",
+    "J2Softening",
     "LinearElastic",
     "LostParticles",
     "NeoHookean",
@@ -33,6 +36,7 @@ __all__ = [
     "Simulation",
     "SimulationError",
     "StVenantKirchhoff",
+    "VonMises",
     "Wall",
     "WeaklyCompressibleFluid",
     "fill_box",

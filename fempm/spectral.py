@@ -206,16 +206,10 @@ def compose(axes, values, out, p):
 
 
 @njit(**inlined)
-def stretch(f, p, axes, increments, scratch):
-    """f[p] = exp(sum increments_i n_i n_i^T) f[p]; `scratch` (1, d, d) is overwritten."""
+def add_product(f, p, axes, values, scratch):
+    """f[p] += (sum of values_i n_i n_i^T) f[p]; `scratch` (1, d, d) is overwritten."""
     d = f.shape[1]
-    for a in range(d):
-        for b in range(a + 1):
-            t = 0.0
-            for i in range(d):
-                t += np.expm1(increments[i]) * axes[a, i] * axes[b, i]
-            scratch[0, a, b] = t
-            scratch[0, b, a] = t
+    compose(axes, values, scratch, 0)
     for b in range(d):
         x = f[p, 0, b]
         y = f[p, 1, b] if d > 1 else 0.0

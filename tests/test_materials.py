@@ -114,6 +114,51 @@ def test_one_dimensional_laws_in_closed_form():
         np.testing.assert_allclose(stress(cls(1.0, 7.0), f).ravel(), 7.0 * tau, rtol=1e-14, atol=1e-14)
 
 
+def log_strain(f):
+    """ln(F F^T) / 2 for small H = F - I, as artanh(A (2 I + A)^-1), A = H + H^T + H H^T, in long double."""
+    eye = np.eye(len(f), dtype=np.longdouble)
+    h = f.astype(np.longdouble) - eye
+    a = h + h.T + h @ h.T
+    inverse, term, out = eye / 2, eye, 0 * eye
+    for _ in range(6):  # Newton, squaring an error below |A| / 2
+        inverse = inverse @ (2 * eye - (2 * eye + a) @ inverse)
+    z = a @ inverse
+    for k in range(30):
+        term = term @ z if k == 0 else term @ z @ z
+        out = out + term / (2 * k + 1)
+    return out
+
+
+@all_dimensions
+@pytest.mark.parametrize("size", [1e-14, 1e-10, 1e-6, 1e-3, 0.05])
+@pytest.mark.parametrize("kind", ["any", "repeated", "nearly equal"])
+def test_hencky_strain_to_round_off(d, size, kind):
+    """mu = 1/2 and lambda = 0 make tau the logarithmic strain: 1e-14 of its own size, however small it is."""
+    rng = np.random.default_rng(3)
+    h = rng.uniform(-1, 1, (50, d, d))
+    if kind == "repeated":  # two equal principal values, in 2D both
+        q = random_rotations(d, 50)
+        h = q @ np.diag([1.0, 1.0, -0.5][:d]) @ q.transpose(0, 2, 1)
+    elif kind == "nearly equal":
+        h = np.eye(d) + 1e-7 * h
+    f = np.eye(d) + size * h
+    expected = np.array([log_strain(one) for one in f])
+    error = np.abs(stress(Hencky(1.0, 1.0, 0.0), f) - expected).max(axis=(1, 2))
+    assert np.all(error < 1e-14 * np.abs(expected).max(axis=(1, 2)))
+
+
+@all_dimensions
+def test_hencky_strain_of_large_stretches(d):
+    """F = Q diag(s) R, s from 1/10 to 10: round-off times the ratio of the squares of the stretches, 1e4."""
+    s = np.exp(np.random.default_rng(4).uniform(-2.3, 2.3, (200, d)))
+    q, r = random_rotations(d, 200, 5), random_rotations(d, 200, 6)
+    expected = np.einsum("nai,ni,nbi->nab", q, np.log(s), q)
+    law = Hencky(1.0, 1.0, 0.0)
+    np.testing.assert_allclose(stress(law, q * s[:, None] @ r), expected, atol=1e-12 if d > 1 else 1e-15)
+    energy = 0.5 * np.sum(np.log(s) ** 2, axis=1)
+    np.testing.assert_allclose(law.energy(q * s[:, None] @ r), energy, rtol=1e-12)
+
+
 def test_fluid_pressure():
     """p = K / gamma (J^-gamma - 1) in a compressed and an expanded liquid, whatever the shear."""
     f = np.array([[[0.5, 0.3], [0.0, 1.6]], [[1.2, 0.0], [5.0, 1.0]]])
