@@ -8,6 +8,9 @@ A scene is a mesh, bodies of particles with materials, walls, and a run:
     run(simulation, until=1.0, output="results/ball")
 """
 
+from .checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from .contact import Obstacle
+from .interrupt import Interrupted
 from .locate import LostParticles
 from .materials import (
     Hencky,
@@ -26,12 +29,15 @@ from .walls import Wall
 __version__ = "0.1.0"
 __all__ = [
     "Body",
+    "CheckpointError",
     "DruckerPrager",
     "Hencky",
+    "Interrupted",
     "J2Softening",
     "LinearElastic",
     "LostParticles",
     "NeoHookean",
+    "Obstacle",
     "SimplexMesh",
     "Simulation",
     "SimulationError",
@@ -43,7 +49,9 @@ __all__ = [
     "fill_cells",
     "from_dolfinx",
     "interval_mesh",
+    "load_checkpoint",
     "mark_boundary",
     "read_mesh",
     "run",
+    "save_checkpoint",
 ]

@@ -64,11 +64,12 @@ class Conditions:
 
     def __init__(self, kernel, mesh, layer):
         self.num_vertices = len(mesh.points)
+        self.unknowns = self.num_vertices + layer.num_free
         self.layer = layer
         self.rows = np.zeros((len(kernel.points), 1))
         self.rows[: self.num_vertices] = 1.0
         near_open = np.zeros(self.num_vertices, bool)
-        near_open[layer.open_facets.ravel()] = True
+        near_open[layer.open_facets.ravel()] = near_open[layer.contact_facets.ravel()] = True
         source = np.repeat(np.arange(self.num_vertices), np.diff(mesh.adjacency_start))
         for _ in range(2):  # the rings of all cells in the support lie within two edges
             near_open[source[near_open[mesh.adjacency]]] = True
@@ -79,8 +80,8 @@ class Conditions:
         """Add C^T times the mirrors' integrals (nv, d) to their owners', project at walls."""
         layer = self.layer
         out = integrals.copy()
-        folded = np.einsum("gba,gb->ga", layer.fold, integrals[self.num_vertices :])
-        np.add.at(out, layer.owner, folded)
+        folded = np.einsum("gba,gb->ga", layer.fold, integrals[self.unknowns :])
+        np.add.at(out, layer.source, folded)
         out[layer.vertices] = np.einsum("wab,wb->wa", layer.project, out[layer.vertices])
         return out
 
@@ -89,7 +90,7 @@ class Conditions:
         layer = self.layer
         out = values.copy()
         out[layer.vertices] = np.einsum("wba,wb->wa", layer.project, out[layer.vertices])
-        out[self.num_vertices :] += np.einsum("gba,ga->gb", layer.fold, out[layer.owner])
+        out[self.unknowns :] += np.einsum("gba,ga->gb", layer.fold, out[layer.source])
         return out
 
 

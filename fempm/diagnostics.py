@@ -4,10 +4,11 @@ import numpy as np
 
 
 def energies(simulation):
-    """Kinetic, elastic, gravity and dissipated energy, dict of floats (J, per unit depth in 2D).
+    """Kinetic, elastic, gravity and other energy, dict of floats (J, per unit depth in 2D).
 
     The kinetic energy is that of the particle velocities; what APIC keeps in its affine matrices is not
-    in it. Gravity energy is relative to the origin. "dissipated" is there with plastic materials only.
+    in it. Gravity energy is relative to the origin. With plastic materials there is also "dissipated", with
+    contact "barrier", and with friction "friction", the work done against it.
     """
     p = simulation.particles
     elastic = 0.0
@@ -21,6 +22,10 @@ def energies(simulation):
     }
     if "dissipation" in p.state:
         out["dissipated"] = float(p.volume @ p.state["dissipation"])
+    if simulation.contact:
+        out["barrier"] = simulation.contact.energy(p)
+    if "friction_work" in p.state:
+        out["friction"] = float(p.state["friction_work"].sum())
     total = simulation.ranks.sum(np.array(list(out.values())))
     return dict(zip(out, total.tolist(), strict=True))
 

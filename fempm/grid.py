@@ -140,3 +140,26 @@ def fill_mirrors(stamp, now, first_mirror, owner, fold, drift, change, velocity,
             for a in range(d):
                 increment[v, a] = increment[owner[g], a]
             apply(fold[g], increment[v], change[g], d)
+
+
+@njit(**options)
+def fold_scalars(grid, stamp, now, first_mirror, source):
+    """Add the first two columns of mirrors to the vertices whose scalars they share."""
+    for g in range(len(source)):
+        if stamp[first_mirror + g] == now:
+            for j in range(2):
+                grid[source[g], j] += grid[first_mirror + g, j]
+
+
+@njit(**options)
+def divide(grid, vertices, n, first_mirror, source):
+    """Write column 1 / column 0 of the listed vertices to column 0, at mirrors that of their source."""
+    for i in range(n):
+        v = vertices[i]
+        if v < first_mirror and grid[v, 0] > 0:
+            grid[v, 0] = grid[v, 1] / grid[v, 0]
+    for i in range(n):
+        v = vertices[i]
+        if v >= first_mirror:
+            grid[v, 0] = grid[source[v - first_mirror], 0]
+    return grid[:, 0]

@@ -6,8 +6,9 @@ import numpy as np
 from numba import njit
 
 from . import consistency, grid, locate, transfer
+from .contact import Contact, Obstacle
 from .kernel import build_kernel, check_cells, negative_weights
-from .materials import extremes
+from .materials import determinant, extremes
 from .mesh import mean_edge_length
 from .parallel import Borders, Ranks, bisect, migrate
 from .particles import Body, join_bodies
@@ -31,6 +32,7 @@ class Simulation:
     mesh : SimplexMesh
     bodies : list of Body
     walls : list of Wall; boundaries without one are open, particles must not leave through them
+    obstacles : list of Obstacle, rigid bodies at rest
     gravity : (d,) constant acceleration
     body_force : acceleration at the particles, (d,) or a function (positions (n, d), time) -> (n, d)
     transfer : "apic", "flip" or "pic"
@@ -56,6 +58,7 @@ class Simulation:
         mesh,
         bodies,
         walls=(),
+        obstacles=(),
         gravity=None,
         body_force=None,
         transfer="apic",
@@ -81,7 +84,7 @@ class Simulation:
         ):
             if not ok:
                 raise ValueError(f"{name} {value}: give {'more than 0' if name == 'cfl' else 'at least 1'}")
-        for given, kind in ((bodies, Body), (walls, Wall)):
+        for given, kind in ((bodies, Body), (walls, Wall), (obstacles, Obstacle)):
             if isinstance(given, kind) or not all(isinstance(item, kind) for item in given):
                 raise TypeError(f"{given!r}: give a list of {kind.__name__}")
         self.ranks = Ranks()
@@ -101,6 +104,9 @@ class Simulation:
         self.particles = join_bodies(self.bodies, d, transfer == "apic")
         self.particles.cell[:] = locate.find_cells(mesh, self.particles.position)
         self.smallest_mass = 1e-12 * self.particles.mass.min()
+        self.contact = Contact(mesh, self.walls, obstacles, self.bodies)
+        self.contact.add_state(self.particles)
+        self.contact.check(self.particles)
         self.cell_size = cell_sizes(mesh)
         self.bins = locate.cell_bins(mesh)
         self.wall_facet = wall_facets(mesh, self.layer)
@@ -115,9 +121,9 @@ class Simulation:
             elsewhere = np.flatnonzero(self.owner[self.particles.cell] != self.ranks.rank)
             self.particles.replace(elsewhere, {}, np.empty(0, int))
             self.particles.reserve(len(self.particles) + len(self.particles) // 4 + 64)
-        self.particles.sort_by_cell()
         self.sort_particles()
         self.ranks.raise_together(self.update_stress())
+        self.find_contacts()
 
     def _correct(self, max_iterations):
         found = consistency.correct(self.kernel, self.mesh, self.layer, max_iterations=max_iterations)
@@ -133,7 +139,7 @@ class Simulation:
         self.grids = np.zeros((self.threads, nv, 1 + 2 * d))
         self.velocity = np.zeros((nv, d))
         self.increment = np.zeros((nv if self.flip > 0 else 0, d))
-        self.force = None
+        self.f_bar = [b for b, body in enumerate(self.bodies) if body.f_bar]
 
     def distribute(self, count):
         """Deal the cells out to the ranks, particles `count` (nc,) in each. Collective."""
@@ -163,11 +169,15 @@ class Simulation:
         self.particle_to_grid()
         self.update_grid(dt)
         self.grid_to_particle(dt)
+        self.contact.slide(self.particles)
         self.time += dt
         self.steps += 1
         lost = self.locate_particles()
         self.sort_particles()
+        if self.f_bar:
+            self.average_jacobian()
         inverted = self.update_stress()
+        self.find_contacts()
         self.ranks.raise_together(inverted or lost)
 
     def sort_particles(self):
@@ -199,11 +209,13 @@ class Simulation:
         """Mass, momentum and force of the particles on the vertices."""
         p = self.particles
         grid.clear(self.grids, self.vertices, self.num_vertices)
+        force = p.state.get("contact_force")
         if self.body_force is not None:
-            self.force = p.mass[:, None] * self.acceleration()
+            weight = p.mass[:, None] * self.acceleration()
+            force = weight if force is None else weight + force
         affine = p.affine if self.transfer == "apic" else None
         fixed = (self.active, self.start, self.order, p.position, p.velocity, affine, p.mass)
-        fields = (p.volume, p.stress, self.force, self.kernel.rings, optional(self.kernel.phi))
+        fields = (p.volume, p.stress, force, self.kernel.rings, optional(self.kernel.phi))
 
         def share(thread):
             first, last = self.shares[thread : thread + 2]
@@ -223,14 +235,14 @@ class Simulation:
 
     def update_grid(self, dt):
         """Fold mirrors, update velocities, apply walls, fill mirrors."""
-        layer, nv = self.layer, len(self.mesh.points)
+        layer, unknowns = self.layer, len(self.mesh.points) + self.layer.num_free
         drift, change = self.wall_motion(dt)
         self.fold(drift[0])
         dropped, lost = grid.update_velocity(
             self.grids[0],
             self.vertices,
             self.num_vertices,
-            nv,
+            unknowns,
             dt,
             self.gravity,
             self.smallest_mass,
@@ -244,19 +256,19 @@ class Simulation:
             *active, layer.vertices, layer.project, drift[1], change[1], self.velocity, self.increment
         )
         grid.fill_mirrors(
-            *active, nv, layer.owner, layer.fold, drift[0], change[0], self.velocity, self.increment
+            *active, unknowns, layer.source, layer.fold, drift[0], change[0], self.velocity, self.increment
         )
 
     def fold(self, drift):
         """Add what mirrors hold to their owners, and what other ranks hold to shared vertices."""
-        layer, nv = self.layer, len(self.mesh.points)
+        layer, unknowns = self.layer, len(self.mesh.points) + self.layer.num_free
         active = (self.stamp, self.steps)
-        grid.fold_mirrors(self.grids[0], *active, nv, layer.owner, layer.fold, drift, self.gravity)
+        grid.fold_mirrors(self.grids[0], *active, unknowns, layer.source, layer.fold, drift, self.gravity)
         self.borders.add_shared(self.grids[0], *active)
 
     def wall_motion(self, dt):
         """What moving walls add to mirror and wall vertices: velocities, and their change in a step."""
-        d, shapes = self.mesh.dim, (len(self.layer.owner), len(self.layer.vertices))
+        d, shapes = self.mesh.dim, (len(self.layer.source), len(self.layer.vertices))
         if not self.layer.moving and self.steps:
             return self.motion
         drift, change = [[np.zeros((n, d)) for n in shapes] for _ in range(2)]
@@ -295,6 +307,37 @@ class Simulation:
             share(0)
         else:
             list(self.pool.map(share, range(self.threads)))
+
+    def average_jacobian(self):
+        """F-bar (Zhao et al. 2023): F times (J_bar / J)^(1/d) with J averaged over the kernel.
+
+        J_i = sum w V0 J / sum w V0 at the vertices, J_bar = sum w J_i at the particles of bodies with
+        `f_bar`; those of one scene share the averages.
+        """
+        p, k, layer = self.particles, self.kernel, self.layer
+        unknowns, active = len(self.mesh.points) + layer.num_free, (self.stamp, self.steps)
+        share, jacobian, average = np.zeros((3, len(p)))
+        for b in self.f_bar:
+            share[p.ranges[b]] = p.volume[p.ranges[b]]
+            determinants(p.deformation_gradient[p.ranges[b]], jacobian[p.ranges[b]])
+        grid.clear(self.grids[:1], self.vertices, self.num_vertices)
+        sums = self.grids[0]
+        sorted_cells = (0, self.num_active, self.active, self.start, self.order, p.position)
+        transfer.scatter_average(k.axes, *sorted_cells, share, jacobian, k.rings, sums)
+        grid.fold_scalars(sums, *active, unknowns, layer.source)
+        self.borders.add_shared(sums, *active)
+        field = grid.divide(sums, self.vertices, self.num_vertices, unknowns, layer.source)
+        transfer.gather_average(k.axes, *sorted_cells, share, field, k.rings, average)
+        for b in self.f_bar:
+            part = p.ranges[b]
+            with np.errstate(invalid="ignore"):  # an inverted particle is found by `update_stress`
+                scale = (average[part] / jacobian[part]) ** (1 / self.mesh.dim)
+            p.deformation_gradient[part] *= scale[:, None, None]
+
+    def find_contacts(self):
+        """Contacts of the particles at their present positions, and the forces there."""
+        if self.contact:
+            self.contact.find(self.particles, self.active, self.num_active, self.start, self.order)
 
     def update_stress(self):
         """Kirchhoff stress of every body from its material; returns a SimulationError if one is inverted."""
@@ -351,7 +394,7 @@ class Simulation:
     def stable_step(self):
         """Time step cfl * min h / (c + |v|) over the particles, c the wave speed in their present state.
 
-        Collective.
+        Contact shortens it, see `barrier.contact_forces`. Collective.
         """
         p = self.particles
         rate = 0.0
@@ -360,7 +403,7 @@ class Simulation:
                 continue
             c = body.material.wave_speed(*extremes(p.deformation_gradient[part]))
             rate = max(rate, signal_rate(p.velocity[part], p.cell[part], c, self.cell_size))
-        return self.cfl / self.ranks.max(rate)
+        return self.ranks.min(min(self.cfl / rate if rate else np.inf, 1 / max(self.contact.rate, 1e-300)))
 
     def vertex_fields(self):
         """Mass (nv,) and velocity (nv, d) on the mesh's vertices now, zero without particles. Collective.
@@ -398,6 +441,8 @@ class Simulation:
             "mirror vertices along walls": len(self.layer.owner) > 0,
             "moving walls": bool(self.layer.moving),
             "body force at particles": self.body_force is not None,
+            "barrier contact": bool(self.contact),
+            "F-bar": bool(self.f_bar),
             "gravity": bool(np.any(self.gravity)),
             "threads": self.threads > 1,
             "several ranks": self.ranks.size > 1,
@@ -453,3 +498,10 @@ def signal_rate(velocity, cell, wave_speed, cell_size):
             square += velocity[p, a] ** 2
         rate = max(rate, (wave_speed + np.sqrt(square)) / cell_size[cell[p]])
     return rate
+
+
+@njit(cache=True, nogil=True)
+def determinants(f, out):
+    """det F of (n, d, d) matrices."""
+    for p in range(len(f)):
+        out[p] = determinant(f, p)

@@ -1,10 +1,12 @@
-"""Walls: essential boundary conditions folded through a layer of mirror vertices.
+"""Walls: boundary conditions through a layer of mirror vertices.
 
 The kernel needs vertices on both sides of a wall. Each vertex next to a wall gets a mirror image
 across it, attached to the same wall vertices as the vertex itself. Only positions and attachments
 matter, particles never enter the layer, so it need not be a mesh: curved walls and corners need no
 special treatment. A mirror vertex is not an unknown: its velocity is `C v_owner`, and what particles
 give to it is folded back with the transpose (design note, "Essential boundaries: fold, don't clamp").
+A wall of kind "contact" prescribes nothing: its mirror vertices are unknowns like others, the layer of
+elements outside of the boundary of thesis section 2.1.3.5, and particles are held by `contact`.
 """
 
 from collections.abc import Callable
@@ -18,23 +20,38 @@ CORNER_ANGLE = np.deg2rad(40.0)  # facets that meet at more than this belong to 
 
 @dataclass
 class Wall:
-    """An essential boundary condition on a named boundary of the mesh.
+    """A boundary condition on a named boundary of the mesh.
 
     Attributes
     ----------
     boundary : name of the boundary, see `SimplexMesh.boundaries`
-    kind : "sticky" (velocity prescribed) or "slip" (only its normal component)
+    kind : "sticky" (velocity prescribed), "slip" (only its normal component) or "contact" (bodies are
+        pushed away from it and can lift off, see `contact`)
     velocity : wall velocity, (d,) or a function of time returning it; at rest when not given. The mesh
         does not move with the wall: it is for walls that slide along themselves, or move little
+    friction : coefficient mu of Coulomb's law, for kind="contact"
+    reach : distance d_hat at which contact begins, a quarter of the mesh size at the wall when not given
     """
 
     boundary: str = "boundary"
     kind: str = "sticky"
     velocity: np.ndarray | Callable | None = None
+    friction: float = 0.0
+    reach: float | None = None
 
     def __post_init__(self):
-        if self.kind not in ("sticky", "slip"):
-            raise ValueError(f"wall kind {self.kind!r}: give 'sticky' or 'slip'")
+        if self.kind not in ("sticky", "slip", "contact"):
+            raise ValueError(f"wall kind {self.kind!r}: give 'sticky', 'slip' or 'contact'")
+        if self.kind == "contact" and self.velocity is not None:
+            raise ValueError(
+                f"wall {self.boundary!r}: a wall of kind 'contact' is at rest, leave velocity out"
+            )
+        if self.kind != "contact" and (self.friction or self.reach is not None):
+            raise ValueError(f"wall {self.boundary!r}: friction and reach are for kind 'contact'")
+        if not self.friction >= 0 or not (self.reach is None or self.reach > 0):
+            raise ValueError(
+                f"wall {self.boundary!r}: friction {self.friction}, reach {self.reach} must be positive"
+            )
 
     def velocity_at(self, time):
         """(d,) wall velocity at a time, or None for a wall at rest."""
@@ -47,26 +64,33 @@ class WallLayer:
 
     Attributes
     ----------
-    points : (ng, d) positions of the mirror vertices
+    points : (ng, d) positions of the mirror vertices, those outside of contact walls first
     owner : (ng,) int32 vertex that each one mirrors
-    fold : (ng, d, d) C in v_mirror = C v_owner
+    num_free : how many of them are unknowns: those outside of contact walls
+    source : (ng - num_free,) int32 vertex of the kernel that the others take their velocity from: the
+        owner, or its mirror image in a contact wall
+    fold : (ng - num_free, d, d) C in v_mirror = C v_source
     attached : (na, 2) int32 pairs (mirror vertex, wall vertex whose neighbour it becomes)
-    vertices : (nw,) int32 vertices on walls
+    vertices : (nw,) int32 vertices on walls that prescribe velocities, and their images in contact walls
     project : (nw, d, d) projection onto their free velocity directions
     moving : list of (wall, mirror_drift (ng, d, d), vertex_drift (nw, d, d)): what the velocity of
         each moving wall adds to the mirror and to the wall vertices
     open_facets : (no, d) int32 exterior facets without a wall
+    contact_facets : (nc, d) int32 facets of contact walls
     incomplete : (ni,) int32 vertices without an image in a patch next to them (re-entrant corners)
     """
 
     points: np.ndarray
     owner: np.ndarray
+    num_free: int
+    source: np.ndarray
     fold: np.ndarray
     attached: np.ndarray
     vertices: np.ndarray
     project: np.ndarray
     moving: list
     open_facets: np.ndarray
+    contact_facets: np.ndarray
     incomplete: np.ndarray
 
 
@@ -110,8 +134,10 @@ def wall_layer(mesh, walls):
     claimed = {tuple(sorted(f)) for facets in facet_sets for f in facets.tolist()}
     still_open = [f for f in mesh.exterior_facets.tolist() if tuple(sorted(f)) not in claimed]
     images, incomplete = reflections(mesh, walls, patches)
-    layer = assemble_mirrors(mesh, images, len(walls))
-    vertices, project, drift = vertex_constraints(mesh, walls, patches)
+    layer = assemble_mirrors(mesh, images, walls)
+    contact = [f for wall, f in zip(walls, facet_sets, strict=True) if wall.kind == "contact"]
+    constraints = vertex_constraints(mesh, walls, patches)
+    vertices, project, drift = constrain_images(len(mesh.points), layer, *constraints)
     moving = [
         (wall, layer["drift"][:, index].copy(), drift[:, index].copy())
         for index, wall in enumerate(walls)
@@ -120,12 +146,15 @@ def wall_layer(mesh, walls):
     return WallLayer(
         layer["points"],
         layer["owner"],
+        layer["num_free"],
+        layer["source"],
         layer["fold"],
         layer["attached"],
         vertices,
         project,
         moving,
         np.array(still_open, np.int32).reshape(-1, d),
+        np.concatenate([np.empty((0, d), np.int32), *contact]),
         incomplete,
     )
 
@@ -258,34 +287,62 @@ def closest_point(x, facets):
     return feet[best], weights[best], best
 
 
-def assemble_mirrors(mesh, images, num_walls):
+def assemble_mirrors(mesh, images, walls):
     """Mirror vertices of single patches, and of two or three patches at once in corners."""
-    d = mesh.dim
-    points, owner, fold, attached, drift = [], [], [], [], []
+    mirrors = []
     for i, single in images.items():
         for size in range(1, len(single) + 1):
             for group in combinations(single, size):
                 shared = set.intersection(*(image.attached for image in group))
-                if not shared:
-                    continue
-                x, matrix = mesh.points[i].copy(), np.eye(d)
-                moves = np.zeros((num_walls, d, d))
-                for image in group:
-                    x += 2 * ((image.foot - x) @ image.normal) * image.normal
-                    matrix = image.fold @ matrix
-                    moves = image.fold @ moves
-                    moves[image.wall] += np.eye(d) - image.fold
-                attached += [(len(points), v) for v in sorted(shared)]
-                points.append(x)
-                owner.append(i)
-                fold.append(matrix)
-                drift.append(moves)
+                if shared:
+                    mirrors.append(compose(mesh.points[i], i, group, walls) | {"attached": sorted(shared)})
+    mirrors.sort(key=lambda mirror: len(mirror["prescribed"]) > 0)
+    free = [mirror for mirror in mirrors if not mirror["prescribed"]]
+    number = {(m["owner"], m["contact"]): len(mesh.points) + k for k, m in enumerate(free)}
+    folded = mirrors[len(free) :]
+    d = mesh.dim
     return {
-        "points": np.array(points).reshape(-1, d),
-        "owner": np.array(owner, np.int32),
-        "fold": np.array(fold).reshape(-1, d, d),
-        "attached": np.array(attached, np.int32).reshape(-1, 2),
-        "drift": np.array(drift).reshape(len(drift), num_walls, d, d),
+        "points": np.array([m["point"] for m in mirrors]).reshape(-1, d),
+        "owner": np.array([m["owner"] for m in mirrors], np.int32),
+        "num_free": len(free),
+        "turn": np.array([m["turn"] for m in free]).reshape(-1, d, d),
+        "source": np.array([number.get((m["owner"], m["contact"]), m["owner"]) for m in folded], np.int32),
+        "fold": np.array([m["fold"] for m in folded]).reshape(-1, d, d),
+        "attached": np.array(
+            [(k, v) for k, m in enumerate(mirrors) for v in m["attached"]], np.int32
+        ).reshape(-1, 2),
+        "drift": np.array([m["drift"] for m in folded]).reshape(len(folded), len(walls), d, d),
+    }
+
+
+def compose(x, owner, group, walls):
+    """Image of vertex `owner` at x in a group of patches, one after the other.
+
+    `fold` and `drift` are those of the patches that prescribe velocities; `contact` and `prescribed`
+    tell the patches apart.
+    """
+    d = len(x)
+    x, matrix, moves = x.copy(), np.eye(d), np.zeros((len(walls), d, d))
+    contact, prescribed = (
+        tuple(id(image) for image in group if (walls[image.wall].kind == "contact") == wanted)
+        for wanted in (True, False)
+    )
+    turn = np.eye(d)
+    for image in group:
+        x += 2 * ((image.foot - x) @ image.normal) * image.normal
+        turn = (np.eye(d) - 2 * np.outer(image.normal, image.normal)) @ turn
+        if id(image) in prescribed:
+            matrix = image.fold @ matrix
+            moves = image.fold @ moves
+            moves[image.wall] += np.eye(d) - image.fold
+    return {
+        "point": x,
+        "owner": owner,
+        "contact": contact,
+        "prescribed": prescribed,
+        "turn": turn,
+        "fold": matrix,
+        "drift": moves,
     }
 
 
@@ -294,6 +351,8 @@ def vertex_constraints(mesh, walls, patches):
     d = mesh.dim
     rows = {}
     for patch in patches:
+        if walls[patch.wall].kind == "contact":
+            continue
         sticky = walls[patch.wall].kind == "sticky"
         for v, normal in zip(patch.vertices.tolist(), patch.normals, strict=True):
             rows.setdefault(v, []).extend((patch.wall, r) for r in (np.eye(d) if sticky else normal[None]))
@@ -309,6 +368,18 @@ def vertex_constraints(mesh, walls, patches):
             mine = np.array(wall) == w
             drift[k, w] = inverse[:, mine] @ normals[mine]
     return vertices, project, drift
+
+
+def constrain_images(num_vertices, layer, vertices, project, drift):
+    """Add the images of wall vertices in contact walls, constrained like their owners."""
+    free = np.flatnonzero(np.isin(layer["owner"][: layer["num_free"]], vertices))
+    row, turn = np.searchsorted(vertices, layer["owner"][free]), layer["turn"][free]
+    turned = np.einsum("gab,gbc,gdc->gad", turn, project[row], turn)
+    return (
+        np.concatenate([vertices, num_vertices + free]).astype(np.int32),
+        np.concatenate([project, turned]),
+        np.concatenate([drift, np.einsum("gab,gwbc->gwac", turn, drift[row])]),
+    )
 
 
 def attached_adjacency(mesh, layer):
