@@ -35,6 +35,8 @@ class Simulation:
     obstacles : list of Obstacle, rigid bodies at rest
     gravity : (d,) constant acceleration
     body_force : acceleration at the particles, (d,) or a function (positions (n, d), time) -> (n, d)
+    condition : a boundary condition of one's own, called in every step after those of the walls: function
+        (points (k, d), velocity (k, d), time) -> (k, d) velocity of the vertices next to particles
     transfer : "apic", "flip" or "pic"
     flip : share of FLIP in its blend with PIC, for transfer="flip"
     gradient : "consistent" (design note) or "plain" (the paper's MLS gradient)
@@ -61,6 +63,7 @@ class Simulation:
         obstacles=(),
         gravity=None,
         body_force=None,
+        condition=None,
         transfer="apic",
         flip=1.0,
         gradient="consistent",
@@ -89,7 +92,8 @@ class Simulation:
                 raise TypeError(f"{given!r}: give a list of {kind.__name__}")
         self.ranks = Ranks()
         self.mesh, self.bodies, self.walls = mesh, list(bodies), list(walls)
-        self.transfer, self.cfl, self.body_force = transfer, cfl, body_force
+        self.transfer, self.cfl = transfer, cfl
+        self.body_force, self.condition = body_force, condition
         self.flip = flip if transfer == "flip" else 0.0
         d = mesh.dim
         self.gravity = np.zeros(d) if gravity is None else np.asarray(gravity, float)
@@ -255,9 +259,23 @@ class Simulation:
         grid.constrain(
             *active, layer.vertices, layer.project, drift[1], change[1], self.velocity, self.increment
         )
+        if self.condition is not None:
+            self.impose(unknowns)
         grid.fill_mirrors(
             *active, unknowns, layer.source, layer.fold, drift[0], change[0], self.velocity, self.increment
         )
+
+    def impose(self, unknowns):
+        """Velocities by the function `condition`, which FLIP sees as a change of velocity."""
+        v = self.vertices[: self.num_vertices]
+        v = v[v < unknowns]
+        before = self.velocity[v]
+        now = np.asarray(self.condition(self.kernel.points[v], before, self.time), float)
+        if now.shape != before.shape:
+            raise ValueError(f"condition returns shape {now.shape} for velocities {before.shape}")
+        self.velocity[v] = now
+        if len(self.increment):
+            self.increment[v] += now - before
 
     def fold(self, drift):
         """Add what mirrors hold to their owners, and what other ranks hold to shared vertices."""
@@ -397,11 +415,11 @@ class Simulation:
         Contact shortens it, see `barrier.contact_forces`. Collective.
         """
         p = self.particles
-        rate = 0.0
-        for body, part in zip(self.bodies, p.ranges, strict=True):
-            if part.stop == part.start:
-                continue
-            c = body.material.wave_speed(*extremes(p.deformation_gradient[part]))
+        rate, sign = 0.0, np.array([1, -1])
+        bounds = np.array([extremes(p.deformation_gradient[part]) for part in p.ranges])
+        bounds = sign * self.ranks.max(sign * bounds)
+        for body, part, (stretch, jacobian) in zip(self.bodies, p.ranges, bounds, strict=True):
+            c = body.material.wave_speed(stretch, jacobian)
             rate = max(rate, signal_rate(p.velocity[part], p.cell[part], c, self.cell_size))
         return self.ranks.min(min(self.cfl / rate if rate else np.inf, 1 / max(self.contact.rate, 1e-300)))
 
@@ -443,6 +461,7 @@ class Simulation:
             "body force at particles": self.body_force is not None,
             "barrier contact": bool(self.contact),
             "F-bar": bool(self.f_bar),
+            "condition on vertices": self.condition is not None,
             "gravity": bool(np.any(self.gravity)),
             "threads": self.threads > 1,
             "several ranks": self.ranks.size > 1,
