@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from .kernel import negative_weights
+
 
 def energies(simulation):
     """Kinetic, elastic, gravity and other energy, dict of floats (J, per unit depth in 2D).
@@ -63,3 +65,46 @@ def summary(simulation):
     spin = angular_momentum(simulation)
     out |= {f"spin_{a}": s for a, s in zip("z" if len(spin) == 1 else names, spin, strict=False)}
     return out
+
+
+def active_parts(simulation):
+    """Which parts of the method this scene uses: name -> whether it costs anything."""
+    s = simulation
+    return {
+        "affine matrices (APIC)": len(s.particles.affine) > 0,
+        "velocity increments (FLIP)": len(s.increment) > 0,
+        "consistent-gradient correction": len(s.kernel.phi) > 0,
+        "mirror vertices along walls": len(s.layer.owner) > 0,
+        "moving walls": bool(s.layer.moving),
+        "body force at particles": s.body_force is not None,
+        "barrier contact": bool(s.contact),
+        "F-bar": bool(s.f_bar),
+        "condition on vertices": s.condition is not None,
+        "gravity": bool(np.any(s.gravity)),
+        "threads": s.threads > 1,
+        "several ranks": s.ranks.size > 1,
+    }
+
+
+def report(simulation):
+    """A few lines on the scene: sizes, active parts, correction, counters. Collective."""
+    s = simulation
+    p, k, ranks = s.particles, s.kernel, s.ranks
+    negative, least = negative_weights(k, p.position, p.cell)
+    negative, least = ranks.sum(negative), -ranks.max(-least)
+    most = ranks.max(len(p)) * ranks.size / s.num_particles
+    parts = [f"  {'on ' if on else 'off'}  {name}" for name, on in active_parts(s).items()]
+    return "\n".join(
+        [
+            f"{s.num_particles} particles, bodies: {len(s.bodies)}, "
+            f"{len(s.mesh.cells)} cells, {len(s.mesh.points)} vertices, {len(s.layer.owner)} mirror vertices",
+            *([f"{ranks.size} ranks, the fullest has {most:.2f} of its share"] if ranks.size > 1 else []),
+            *parts,
+            f"consistent gradients: largest |int g| {s.correction['before']:.1e} -> "
+            f"{s.correction['after']:.1e} of int w / h in {s.correction['iterations']} iterations",
+            f"negative weights: {negative} particles see one, the least is {least:.3g}",
+            f"vertices left out for lack of mass: {ranks.sum(s.dropped_vertices)} in {s.steps} "
+            f"steps, momentum lost there: {ranks.sum(s.lost_momentum):.2e}",
+            f"particles put back on a wall: {ranks.sum(s.wall_hits)}",
+        ]
+    )

@@ -59,6 +59,17 @@ def cell_bins(mesh):
     return lower, inverse_size, per_axis, start, content
 
 
+def wall_facets(mesh, layer):
+    """(nc, d + 1) bool: facets on walls, by the vertex opposite."""
+    walled = {tuple(sorted(f)) for f in mesh.exterior_facets.tolist()} - {
+        tuple(sorted(f)) for f in layer.open_facets.tolist()
+    }
+    out = np.zeros(mesh.cells.shape, bool)
+    for c, q in zip(*np.nonzero(mesh.neighbours == -1), strict=True):
+        out[c, q] = tuple(sorted(np.delete(mesh.cells[c], q).tolist())) in walled
+    return out
+
+
 @njit(cache=True)
 def fill_bins(first, last, per_axis):
     """CSR (start, cells) of the cells whose box [first, last] touches each bin."""

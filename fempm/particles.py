@@ -117,10 +117,13 @@ class Particles:
 
     @property
     def jacobian(self):
-        """(n,) J = V / V0, elastic and plastic."""
+        """(n,) J = V / V0, with what plastic bodies keep outside of F (see `plasticity`)."""
         j = np.linalg.det(self.deformation_gradient)
-        plastic = self.state.get("plastic_volume")
-        return j if plastic is None else j * np.exp(plastic)
+        if "lateral_strain" in self.state:
+            j *= np.exp((3 - self.position.shape[1]) * self.state["lateral_strain"])
+        if "plastic_volume" in self.state:
+            j *= np.exp(self.state["plastic_volume"])
+        return j
 
     @property
     def cauchy_stress(self):

@@ -5,10 +5,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numba import njit
 
-from . import consistency, grid, locate, transfer
+from . import consistency, diagnostics, grid, locate, transfer
 from .contact import Contact, Obstacle
-from .kernel import build_kernel, check_cells, negative_weights
-from .materials import determinant, extremes
+from .f_bar import average_jacobian
+from .kernel import build_kernel, check_cells
+from .materials import extremes
 from .mesh import mean_edge_length
 from .parallel import Borders, Ranks, bisect, migrate
 from .particles import Body, join_bodies
@@ -32,9 +33,9 @@ class Simulation:
     mesh : SimplexMesh
     bodies : list of Body
     walls : list of Wall; boundaries without one are open, particles must not leave through them
-    obstacles : list of Obstacle, rigid bodies at rest
     gravity : (d,) constant acceleration
     body_force : acceleration at the particles, (d,) or a function (positions (n, d), time) -> (n, d)
+    obstacles : list of Obstacle, rigid bodies at rest
     condition : a boundary condition of one's own, called in every step after those of the walls: function
         (points (k, d), velocity (k, d), time) -> (k, d) velocity of the vertices next to particles
     transfer : "apic", "flip" or "pic"
@@ -60,9 +61,9 @@ class Simulation:
         mesh,
         bodies,
         walls=(),
-        obstacles=(),
         gravity=None,
         body_force=None,
+        obstacles=(),
         condition=None,
         transfer="apic",
         flip=1.0,
@@ -113,7 +114,7 @@ class Simulation:
         self.contact.check(self.particles)
         self.cell_size = cell_sizes(mesh)
         self.bins = locate.cell_bins(mesh)
-        self.wall_facet = wall_facets(mesh, self.layer)
+        self.wall_facet = locate.wall_facets(mesh, self.layer)
         self.threads, self.imbalance = threads, imbalance
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self.time, self.steps, self.dt = 0.0, 0, 0.0
@@ -179,7 +180,7 @@ class Simulation:
         lost = self.locate_particles()
         self.sort_particles()
         if self.f_bar:
-            self.average_jacobian()
+            average_jacobian(self, self.f_bar)
         inverted = self.update_stress()
         self.find_contacts()
         self.ranks.raise_together(inverted or lost)
@@ -326,32 +327,6 @@ class Simulation:
         else:
             list(self.pool.map(share, range(self.threads)))
 
-    def average_jacobian(self):
-        """F-bar (Zhao et al. 2023): F times (J_bar / J)^(1/d) with J averaged over the kernel.
-
-        J_i = sum w V0 J / sum w V0 at the vertices, J_bar = sum w J_i at the particles of bodies with
-        `f_bar`; those of one scene share the averages.
-        """
-        p, k, layer = self.particles, self.kernel, self.layer
-        unknowns, active = len(self.mesh.points) + layer.num_free, (self.stamp, self.steps)
-        share, jacobian, average = np.zeros((3, len(p)))
-        for b in self.f_bar:
-            share[p.ranges[b]] = p.volume[p.ranges[b]]
-            determinants(p.deformation_gradient[p.ranges[b]], jacobian[p.ranges[b]])
-        grid.clear(self.grids[:1], self.vertices, self.num_vertices)
-        sums = self.grids[0]
-        sorted_cells = (0, self.num_active, self.active, self.start, self.order, p.position)
-        transfer.scatter_average(k.axes, *sorted_cells, share, jacobian, k.rings, sums)
-        grid.fold_scalars(sums, *active, unknowns, layer.source)
-        self.borders.add_shared(sums, *active)
-        field = grid.divide(sums, self.vertices, self.num_vertices, unknowns, layer.source)
-        transfer.gather_average(k.axes, *sorted_cells, share, field, k.rings, average)
-        for b in self.f_bar:
-            part = p.ranges[b]
-            with np.errstate(invalid="ignore"):  # an inverted particle is found by `update_stress`
-                scale = (average[part] / jacobian[part]) ** (1 / self.mesh.dim)
-            p.deformation_gradient[part] *= scale[:, None, None]
-
     def find_contacts(self):
         """Contacts of the particles at their present positions, and the forces there."""
         if self.contact:
@@ -452,59 +427,17 @@ class Simulation:
 
     def active_parts(self):
         """Which parts of the method this scene uses: name -> whether it costs anything."""
-        return {
-            "affine matrices (APIC)": len(self.particles.affine) > 0,
-            "velocity increments (FLIP)": len(self.increment) > 0,
-            "consistent-gradient correction": len(self.kernel.phi) > 0,
-            "mirror vertices along walls": len(self.layer.owner) > 0,
-            "moving walls": bool(self.layer.moving),
-            "body force at particles": self.body_force is not None,
-            "barrier contact": bool(self.contact),
-            "F-bar": bool(self.f_bar),
-            "condition on vertices": self.condition is not None,
-            "gravity": bool(np.any(self.gravity)),
-            "threads": self.threads > 1,
-            "several ranks": self.ranks.size > 1,
-        }
+        return diagnostics.active_parts(self)
 
     def report(self):
         """A few lines on the scene: sizes, active parts, correction, counters. Collective."""
-        p, k, ranks = self.particles, self.kernel, self.ranks
-        negative, least = negative_weights(k, p.position, p.cell)
-        negative, least = ranks.sum(negative), -ranks.max(-least)
-        most = ranks.max(len(p)) * ranks.size / self.num_particles
-        parts = [f"  {'on ' if on else 'off'}  {name}" for name, on in self.active_parts().items()]
-        return "\n".join(
-            [
-                f"{self.num_particles} particles, bodies: {len(self.bodies)}, {len(self.mesh.cells)} cells, "
-                f"{len(self.mesh.points)} vertices, {len(self.layer.owner)} mirror vertices",
-                *([f"{ranks.size} ranks, the fullest has {most:.2f} of its share"] if ranks.size > 1 else []),
-                *parts,
-                f"consistent gradients: largest |int g| {self.correction['before']:.1e} -> "
-                f"{self.correction['after']:.1e} of int w / h in {self.correction['iterations']} iterations",
-                f"negative weights: {negative} particles see one, the least is {least:.3g}",
-                f"vertices left out for lack of mass: {ranks.sum(self.dropped_vertices)} in {self.steps} "
-                f"steps, momentum lost there: {ranks.sum(self.lost_momentum):.2e}",
-                f"particles put back on a wall: {ranks.sum(self.wall_hits)}",
-            ]
-        )
+        return diagnostics.report(self)
 
 
 def cell_sizes(mesh):
     """(nc,) least mean edge length among the vertices of each cell."""
     size = mean_edge_length(mesh.points, mesh.adjacency_start, mesh.adjacency)
     return size[mesh.cells].min(axis=1)
-
-
-def wall_facets(mesh, layer):
-    """(nc, d + 1) bool: facets on walls, by the vertex opposite."""
-    walled = {tuple(sorted(f)) for f in mesh.exterior_facets.tolist()} - {
-        tuple(sorted(f)) for f in layer.open_facets.tolist()
-    }
-    out = np.zeros(mesh.cells.shape, bool)
-    for c, q in zip(*np.nonzero(mesh.neighbours == -1), strict=True):
-        out[c, q] = tuple(sorted(np.delete(mesh.cells[c], q).tolist())) in walled
-    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -517,10 +450,3 @@ def signal_rate(velocity, cell, wave_speed, cell_size):
             square += velocity[p, a] ** 2
         rate = max(rate, (wave_speed + np.sqrt(square)) / cell_size[cell[p]])
     return rate
-
-
-@njit(cache=True, nogil=True)
-def determinants(f, out):
-    """det F of (n, d, d) matrices."""
-    for p in range(len(f)):
-        out[p] = determinant(f, p)

@@ -54,7 +54,7 @@ def test_arrays_of_unused_parts_are_empty():
         threads=2,
     )
     off = [name for name, on in full.active_parts().items() if not on]
-    assert off == ["affine matrices (APIC)", "several ranks"]
+    assert off == ["affine matrices (APIC)", "barrier contact", "F-bar", "condition on vertices", "several ranks"]
     assert len(full.kernel.phi) == len(full.kernel.points) > len(graded.points)
 
 
