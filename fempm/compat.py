@@ -276,57 +276,6 @@ def _connect(mesh, dim):
     mesh.topology.create_connectivity(dim, 0)
 
 
-def gather_mesh(mesh, cell_tags=None, facet_tags=None):
-    """Points, cells and tags of a mesh spread over ranks, in the order they were given in. Collective.
-
-    Returns
-    -------
-    points, cells, and for cells and facets (vertices, values) of their tags or None; on rank 0, None
-    elsewhere
-    """
-    tdim, comm = mesh.topology.dim, mesh.comm
-    index = input_vertex_index(mesh)
-    owned = mesh.topology.index_map(tdim).size_local
-    parts = [
-        (index, vertex_points(mesh)),
-        (np.asarray(mesh.topology.original_cell_index)[:owned], index[cell_vertices(mesh)[:owned]]),
-    ]
-    for dim, tags in ((tdim, cell_tags), (tdim - 1, facet_tags)):
-        if tags is not None:
-            mine = tags.indices < index_map_arrays(mesh, dim)[0]
-            corners = cell_vertices(mesh) if dim == tdim else facet_vertices(mesh, range(_count(mesh, dim)))
-            parts.append((index[corners[tags.indices[mine]]], tags.values[mine]))
-        else:
-            parts.append(None)
-    gathered = comm.gather(parts)
-    if comm.rank > 0:
-        return None
-    joined = [p and [np.concatenate(a) for a in zip(*(g[i] for g in gathered))] for i, p in enumerate(parts)]
-    # a point may be on several ranks, and the numbers of points without cells are left out
-    number, first = np.unique(joined[0][0], return_index=True)
-    points = joined[0][1][first]
-    cells = np.searchsorted(number, joined[1][1][np.argsort(joined[1][0])])
-    tags = [t and (np.searchsorted(number, t[0]), t[1]) for t in joined[2:]]
-    return points, cells, *tags
-
-
-def scatter_mesh(comm, points, cells, cell_tags, facet_tags):
-    """Mesh and tags (cells, facets) from what `gather_mesh` returns. Collective."""
-    mesh = create_simplex_mesh(comm, points, cells)
-    tdim = mesh.topology.dim
-    tags = [
-        t and distribute_tags(mesh, dim, np.asarray(t[0], np.int64), np.asarray(t[1], np.int32))
-        for dim, t in ((tdim, cell_tags), (tdim - 1, facet_tags))
-    ]
-    return mesh, *tags
-
-
-def _count(mesh, dim):
-    _connect(mesh, dim)
-    index_map = mesh.topology.index_map(dim)
-    return index_map.size_local + index_map.num_ghosts
-
-
 # Reading and writing meshes
 
 

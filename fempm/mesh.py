@@ -175,16 +175,42 @@ def gathered(mesh, facet_tags, names, cell_tags, region_names):
 
     from . import compat
 
-    data = compat.gather_mesh(mesh, cell_tags, facet_tags)
+    tdim, comm = mesh.topology.dim, mesh.comm
+    index = compat.input_vertex_index(mesh)
+    owned = mesh.topology.index_map(tdim).size_local
+    cells = compat.cell_vertices(mesh)
+    pieces = [
+        (index, compat.vertex_points(mesh)),
+        (np.asarray(mesh.topology.original_cell_index)[:owned], index[cells[:owned]]),
+    ]
+    for dim, tags in ((tdim, cell_tags), (tdim - 1, facet_tags)):
+        if tags is None:
+            pieces.append(None)
+            continue
+        mine = tags.indices < compat.index_map_arrays(mesh, dim)[0]
+        indices = tags.indices[mine]
+        corners = cells[indices] if dim == tdim else compat.facet_vertices(mesh, indices)
+        pieces.append((index[corners], tags.values[mine]))
+    gathered = comm.gather(pieces)
     made = error = None
-    if mesh.comm.rank == 0:
+    if comm.rank == 0:
+        numbered, listed, *tags = (
+            p and [np.concatenate(a) for a in zip(*(g[i] for g in gathered), strict=True)]
+            for i, p in enumerate(pieces)
+        )
+        number, first = np.unique(numbered[0], return_index=True)  # a point may be on several ranks
+        corners = np.searchsorted(number, listed[1][np.argsort(listed[0])])
         try:
-            alone, *tags = compat.scatter_mesh(MPI.COMM_SELF, *data)
+            alone = compat.create_simplex_mesh(MPI.COMM_SELF, numbered[1][first], corners)
+            tags = [
+                t and compat.distribute_tags(alone, dim, np.searchsorted(number, t[0]), t[1])
+                for dim, t in zip((tdim, tdim - 1), tags, strict=True)
+            ]
             made = from_dolfinx(alone, tags[1], names, None, tags[0], region_names)
         except ValueError as problem:
             error = problem
-    compat.raise_everywhere(mesh.comm, error)
-    return mesh.comm.bcast(made)
+    compat.raise_everywhere(comm, error)
+    return comm.bcast(made)
 
 
 def tagged_entities(mesh, tags, names):

@@ -52,7 +52,7 @@ def test_unknown_options():
         Simulation(mesh, bodies, gradient="exact")
     with pytest.raises(ValueError, match=r"flip 1.5: the share of FLIP lies in \[0, 1\]"):
         Simulation(mesh, bodies, transfer="flip", flip=1.5)
-    with pytest.raises(ValueError, match="wall kind 'stick': give 'sticky' or 'slip'"):
+    with pytest.raises(ValueError, match="wall kind 'stick': give 'sticky', 'slip' or 'contact'"):
         Wall("boundary", "stick")
     mark_boundary(mesh, "floor", lambda x: x[1] < 1e-9)
     with pytest.raises(KeyError, match=r"unknown boundary tag 'flor': this mesh has \['boundary', 'floor'\]"):
