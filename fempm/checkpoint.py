@@ -202,3 +202,4 @@ def take_up(simulation, scalars, owner, counts, arrays):
     vars(s).update(scalars)
     s.stamp[:] = -1  # marks of other steps than the one taken up
     s.sort_particles()
+    s.find_contacts()

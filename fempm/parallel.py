@@ -38,8 +38,8 @@ class Ranks:
         return x if self.comm is None else self.comm.allreduce(x)
 
     def max(self, x):
-        """Largest of the ranks' numbers."""
-        return x if self.comm is None else max(self.comm.allgather(x))
+        """Largest of the ranks' numbers, of arrays entry by entry."""
+        return x if self.comm is None else np.max(self.comm.allgather(x), axis=0)
 
     def min(self, x):
         """Least of the ranks' numbers."""
@@ -122,6 +122,9 @@ class Borders:
 
     def __init__(self, ranks, owner, ring_start, ring_vertex, num_vertices):
         self.ranks, self.shared = ranks, {}
+        if ranks.size == 1:
+            self.counted = np.ones(num_vertices, bool)
+            return
         mine = touched(owner, ranks.rank, ring_start, ring_vertex, num_vertices)
         for other in set(range(ranks.size)) - {ranks.rank}:
             theirs = touched(owner, other, ring_start, ring_vertex, num_vertices)
