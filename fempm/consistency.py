@@ -15,8 +15,21 @@ smooth rest, which is of second order anyway. Hence the cap on iterations.
 import numpy as np
 from numba import njit
 
+from .lanes import borrow, entry, load, scratch, store, take
 from .simplex import quadrature
-from .weights import MAX_RING, ROW, SIZE, D, R, W, barycentric, gather_ring, weights
+from .weights import (
+    ENTRY,
+    FIRST,
+    MAX_RING,
+    PARTICLE_SIZE,
+    RING_SIZE,
+    D,
+    R,
+    W,
+    gather_ring,
+    gradient,
+    weights,
+)
 
 
 def correct(kernel, mesh, layer, tolerance=1e-11, max_iterations=300):
@@ -232,42 +245,44 @@ def integrate(
     dim = len(axes)
     cells, points = rings.cells, rings.points
     ring_start, ring_vertex = rings.start, rings.vertex
-    s = np.empty(SIZE)
+    s, t, lent = scratch(RING_SIZE), scratch(PARTICLE_SIZE), borrow(rings)
     local = np.empty((MAX_RING, MAX_RING))
     g = np.empty((3, MAX_RING))
+    wr = np.empty((4, MAX_RING))
     x = np.empty(dim)
-    b = np.empty(4)
     for c in range(len(cells)):
         first = ring_start[c]
-        n = ring_start[c + 1] - first
-        padded = gather_ring(axes, s, c, rings, None)
+        n, frame = gather_ring(axes, s, c, lent, None)
         local[:n, :n] = 0.0
         for i in range(len(rule)):
             for a in range(dim):
                 x[a] = 0.0
                 for q in range(dim + 1):
                     x[a] += rule[i, q] * points[cells[c, q], a]
-            barycentric(axes, b, x, c, cells, points, rings.inverse)
-            m, k_inv, _ = weights(axes, s, padded, x, b, None)
+            x_i = take(x, 0, axes)
+            m, k_inverse, _, _ = weights(axes, s, t, n, x_i, frame, c, lent, None, None)
             dv = rule_weights[i] * volumes[c]
             for k in range(n):
                 v = ring_vertex[first + k]
-                volume[v] += dv * s[W + k]
+                at = FIRST + k * ENTRY
+                w = entry(t, at + W)
+                volume[v] += dv * w
+                local[k, k] -= dv * w
+                store(x, 0, gradient(entry(t, at + D), w, load(t, at + R, x_i), m, k_inverse, None, None))
+                wr[dim, k] = w
                 for a in range(dim):
-                    t = 0.0
-                    for e in range(dim):
-                        t += k_inv[3 * a + e] * (s[R + e * ROW + k] - m[e])
-                    g[a, k] = dv * s[D + k] * t
+                    g[a, k] = dv * x[a]
                     integral[v, a] += g[a, k]
-                wk = dv * s[W + k]
-                local[k, k] -= wk
+                    wr[a, k] = w * entry(t, at + R + a)
+            for k in range(n):
+                wk = dv * wr[dim, k]
                 for j in range(n):
-                    t = wk + g[0, k] * s[R + j]
+                    t_kj = wk * wr[dim, j] + g[0, k] * wr[0, j]
                     if dim > 1:
-                        t += g[1, k] * s[R + ROW + j]
+                        t_kj += g[1, k] * wr[1, j]
                     if dim > 2:
-                        t += g[2, k] * s[R + 2 * ROW + j]
-                    local[k, j] += t * s[W + j]
+                        t_kj += g[2, k] * wr[2, j]
+                    local[k, j] += t_kj
         for k in range(n):
             v = ring_vertex[first + k]
             at = row_start[v]

@@ -10,9 +10,26 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from .lanes import borrow, entry, load, scratch, store, take, take_optional
 from .mesh import mean_edge_length
 from .walls import attached_adjacency
-from .weights import MAX_RING, PHI, ROW, SIZE, D, R, Rings, W, barycentric, gather_ring, optional, weights
+from .weights import (
+    ENTRY,
+    FIRST,
+    MAX_RING,
+    PARTICLE_SIZE,
+    PHI,
+    RING_SIZE,
+    ROW,
+    D,
+    R,
+    Rings,
+    W,
+    gather_ring,
+    gradient,
+    optional,
+    weights,
+)
 
 # smaller is more accurate, larger has fewer negative weights (README, "Where the numbers come from")
 SUPPORT = {1: 1.0, 2: 1.1, 3: 1.1}
@@ -195,21 +212,17 @@ def evaluate_many(kernel, x, cell):
 @njit(cache=True, error_model="numpy")
 def tabulate(axes, x, cell, rings, phi, w, g):
     """Loop of `evaluate_many`."""
-    s = np.empty(SIZE)
-    b = np.empty(4)
+    s, t, (rings, phi) = scratch(RING_SIZE), scratch(PARTICLE_SIZE), borrow((rings, phi))
     for p in range(len(x)):
-        n = gather_ring(axes, s, cell[p], rings, phi)
-        barycentric(axes, b, x[p], cell[p], rings.cells, rings.points, rings.inverse)
-        m, q, phi_bar = weights(axes, s, n, x[p], b, phi)
-        for k in range(rings.start[cell[p] + 1] - rings.start[cell[p]]):
-            w[p, k] = s[W + k]
-            for a in range(len(axes)):
-                t = 0.0
-                for c in range(len(axes)):
-                    t += q[3 * a + c] * (s[R + c * ROW + k] - m[c])
-                g[p, k, a] = s[D + k] * t
-                if phi is not None:
-                    g[p, k, a] += s[W + k] * (phi_bar[a] - s[PHI + a * ROW + k])
+        n, frame = gather_ring(axes, s, cell[p], rings, phi)
+        x_p = take(x, p * len(axes), axes)
+        m, q, phi_bar, _ = weights(axes, s, t, n, x_p, frame, cell[p], rings, phi, None)
+        for k in range(n):
+            at = FIRST + k * ENTRY
+            w[p, k] = entry(t, at + W)
+            phi_k = take_optional(s, k * ROW + PHI, axes, phi)
+            g_k = gradient(entry(t, at + D), w[p, k], load(t, at + R, x_p), m, q, phi_bar, phi_k)
+            store(g, (p * MAX_RING + k) * len(axes), g_k)
 
 
 def check_cells(kernel, mesh):
@@ -239,24 +252,23 @@ def negative_weights(kernel, x, cell):
 @njit(cache=True, error_model="numpy")
 def largest_weight(axes, x, rings, out):
     """Raise `out` to the largest |w| at one point of every cell; not a number stays."""
-    s = np.empty(SIZE)
-    b = np.empty(4)
-    for c in range(len(rings.cells)):
-        n = gather_ring(axes, s, c, rings, None)
-        barycentric(axes, b, x[c], c, rings.cells, rings.points, rings.inverse)
-        weights(axes, s, n, x[c], b, None)
-        largest = np.abs(s[W : W + n]).max()
-        if out[c] == out[c] and not largest <= out[c]:
-            out[c] = largest
+    s, t, rings = scratch(RING_SIZE), scratch(PARTICLE_SIZE), borrow(rings)
+    for c in range(len(x)):
+        n, frame = gather_ring(axes, s, c, rings, None)
+        weights(axes, s, t, n, take(x, c * len(axes), axes), frame, c, rings, None, None)
+        for k in range(n):
+            w = abs(entry(t, FIRST + k * ENTRY + W))
+            if out[c] == out[c] and not w <= out[c]:
+                out[c] = w
 
 
 @njit(cache=True, error_model="numpy")
 def smallest_weight(axes, x, cell, rings, out):
     """Least weight at every point."""
-    s = np.empty(SIZE)
-    b = np.empty(4)
+    s, t, rings = scratch(RING_SIZE), scratch(PARTICLE_SIZE), borrow(rings)
     for p in range(len(x)):
-        n = gather_ring(axes, s, cell[p], rings, None)
-        barycentric(axes, b, x[p], cell[p], rings.cells, rings.points, rings.inverse)
-        weights(axes, s, n, x[p], b, None)
-        out[p] = s[W : W + n].min()
+        n, frame = gather_ring(axes, s, cell[p], rings, None)
+        weights(axes, s, t, n, take(x, p * len(axes), axes), frame, cell[p], rings, None, None)
+        out[p] = np.inf
+        for k in range(n):
+            out[p] = min(out[p], entry(t, FIRST + k * ENTRY + W))

@@ -1,27 +1,156 @@
 """Particle-to-grid and grid-to-particle transfers (thesis Algorithm 1, lines 2-5 and 7-8).
 
-Both walk over the cells that hold particles: the ring of a cell is gathered once, every particle runs
-loops along it (see `weights`), sums are kept per cell and scattered once.
+Both walk over the cells that hold particles: the ring of a cell is gathered once, its particles run along it
+four at a time (see `weights` and `lanes`), sums are kept per cell and scattered once.
 """
 
-import numpy as np
 from numba import njit
 
+from .lanes import (
+    WIDTH,
+    add_totals,
+    borrow,
+    dot,
+    entry,
+    entry_optional,
+    formula,
+    gather,
+    gather_row,
+    load,
+    occupied,
+    scatter,
+    scatter_row,
+    scratch,
+    store,
+    take,
+    take_optional,
+    where,
+    zero,
+    zeros,
+)
 from .weights import (
     DU,
+    ENTRY,
+    FIRST,
+    MAX_RING,
+    PARTICLE_SIZE,
     PHI,
+    RING_SIZE,
     ROW,
-    SIZE,
     D,
     R,
     U,
     W,
-    barycentric,
+    full,
     gather_ring,
-    inverse_inertia,
+    inverse_symmetric,
     options,
     weights,
 )
+
+
+@njit(**options)
+def batch(order, j, end):
+    """The particles j, j + 1, ... of `order`, the last of the cell in all lanes that are left over."""
+    last = end - 1
+    return (
+        entry(order, j),
+        entry(order, min(j + 1, last)),
+        entry(order, min(j + 2, last)),
+        entry(order, min(j + 3, last)),
+    )
+
+
+@formula
+def momentum_of(mass, velocity, affine, inertia):
+    """Mass and momentum of particles as functions m and p + c . r of the offset: m, p and c."""
+    p = tuple(mass * v for v in velocity)
+    if affine is None:
+        return mass, p, None
+    inverse = full(inverse_symmetric(inertia))
+    return mass, p, tuple(tuple(mass * dot(row, column) for column in inverse) for row in affine)
+
+
+@formula
+def force_of(volume, stress, force, used, m, q, phi_bar):
+    """Force of particles as a function D (g . r - gm) + w (h - t . phi): g, gm, h and t."""
+    t = tuple(tuple(-volume * s for s in row) for row in stress)
+    g = tuple(tuple(dot(row, column) for column in zip(*q)) for row in t)
+    gm = tuple(dot(row, m) for row in g)
+    h = None if phi_bar is None else tuple(dot(row, phi_bar) for row in t)
+    if force is not None:
+        force = tuple(used * f for f in force)
+        h = force if h is None else tuple(a + b for a, b in zip(h, force))
+    return g, gm, h, t
+
+
+SUMS_SIZE = MAX_RING * 7 * WIDTH
+
+
+@formula
+def no_sums(x):
+    """Mass, momentum and force of nothing."""
+    return (zero(x[0]),) * (1 + 2 * len(x))
+
+
+@formula
+def add_vertex(sums, d, w, r, phi, momentum, force):
+    """Mass, momentum and force of a vertex with the particles' shares added."""
+    mass, p, c = momentum
+    g, gm, h, t = force
+    dim = len(r)
+    out = [sums[0] + w * mass]
+    for a in range(dim):
+        out.append(sums[1 + a] + w * (p[a] if c is None else p[a] + dot(c[a], r)))
+    for a in range(dim):
+        f = sums[1 + dim + a] + d * (dot(g[a], r) - gm[a])
+        if phi is not None:
+            f = f + w * (h[a] - dot(t[a], phi))
+        elif h is not None:
+            f = f + w * h[a]
+        out.append(f)
+    return tuple(out)
+
+
+@formula
+def times(x, y):
+    """Product."""
+    return x * y
+
+
+@njit(**options)
+def add_batch(axes, s, t, sums, n, frame, cell, p, used, fields, rings, phi):
+    """Add four particles to the sums of their cell."""
+    position, velocity, affine, mass, volume, stress, force = fields
+    x = gather(position, p, axes)
+    m, q, phi_bar, inertia = weights(axes, s, t, n, x, frame, cell, rings, phi, affine)
+    mass_p, volume_p = times(gather(mass, p, axes), used), times(gather(volume, p, axes), used)
+    momentum_p = momentum_of(mass_p, gather(velocity, p, axes), gather(affine, p, axes), inertia)
+    force_p = force_of(volume_p, gather(stress, p, axes), gather(force, p, axes), used, m, q, phi_bar)
+    like = no_sums(x)
+    for k in range(n):
+        at = FIRST + k * ENTRY
+        d, w, r = load(t, at + D, used), load(t, at + W, used), load(t, at + R, x)
+        phi_k = take_optional(s, k * ROW + PHI, axes, phi)
+        to = k * len(like)
+        store(sums, to, add_vertex(load(sums, to, like), d, w, r, phi_k, momentum_p, force_p))
+
+
+@njit(**options)
+def clear_sums(axes, sums, n, x):
+    """Zero the sums of the first n ring vertices."""
+    nothing = no_sums(x)
+    for k in range(n):
+        store(sums, k * len(nothing), nothing)
+
+
+@njit(**options)
+def scatter_sums(axes, sums, n, first, rings, x, grid):
+    """Add the sums of a cell to its ring vertices."""
+    like = no_sums(x)
+    for k in range(n):
+        vertex = entry(rings.vertex, first + k)
+        add_totals(grid, vertex * len(like), load(sums, k * len(like), like))
 
 
 @njit(**options)
@@ -55,83 +184,113 @@ def particle_to_grid(
     volume, stress : initial volume V0 and Kirchhoff stress, so that V0 tau = V sigma
     grid : (nv, 1 + 2 d) mass, momentum and force, added to
     """
-    dim = len(axes)
-    s = np.empty(SIZE)
-    mass_sum = np.empty(ROW)  # sums of one cell
-    momentum_sum = np.empty((3, ROW))
-    force_sum = np.empty((3, ROW))
-    b = np.empty(4)
-    x = np.empty(3)
+    s, t, sums = scratch(RING_SIZE), scratch(PARTICLE_SIZE), scratch(SUMS_SIZE)
+    fields = borrow((position, velocity, affine, mass, volume, stress, force))
+    rings, phi, grid = borrow((rings, phi, grid))
+    x = zeros(axes)
     for i in range(first, last):
-        cell = active[i]
-        n = gather_ring(axes, s, cell, rings, phi)
-        mass_sum[:n] = 0.0
-        momentum_sum[:, :n] = 0.0
-        force_sum[:, :n] = 0.0
-        for j in range(start[i], start[i + 1]):
-            p = order[j]
-            for a in range(dim):  # a copy, as a view position[p] would count references
-                x[a] = position[p, a]
-            barycentric(axes, b, x, cell, rings.cells, rings.points, rings.inverse)
-            m, q, phi_bar = weights(axes, s, n, x, b, phi)
-            i00 = i01 = i02 = i11 = i12 = i22 = 0.0
-            if affine is not None:
-                i00, i01, i02, i11, i12, i22 = inverse_inertia(axes, s, n)
-            mp = mass[p]
-            for k in range(n):
-                mass_sum[k] += mp * s[W + k]
-            for a in range(dim):
-                v = mp * velocity[p, a]
-                t0 = -volume[p] * stress[p, a, 0]
-                t1 = -volume[p] * stress[p, a, 1] if dim > 1 else 0.0
-                t2 = -volume[p] * stress[p, a, 2] if dim > 2 else 0.0
-                g0 = t0 * q[0] + t1 * q[3] + t2 * q[6]
-                g1 = t0 * q[1] + t1 * q[4] + t2 * q[7]
-                g2 = t0 * q[2] + t1 * q[5] + t2 * q[8]
-                gm = g0 * m[0] + g1 * m[1] + g2 * m[2]
-                h = t0 * phi_bar[0] + t1 * phi_bar[1] + t2 * phi_bar[2]
-                if force is not None:
-                    h += force[p, a]
-                c0 = c1 = c2 = 0.0
-                if affine is not None:
-                    b0 = mp * affine[p, a, 0]
-                    b1 = mp * affine[p, a, 1] if dim > 1 else 0.0
-                    b2 = mp * affine[p, a, 2] if dim > 2 else 0.0
-                    c0 = b0 * i00 + b1 * i01 + b2 * i02
-                    c1 = b0 * i01 + b1 * i11 + b2 * i12
-                    c2 = b0 * i02 + b1 * i12 + b2 * i22
-                for k in range(n):
-                    r0 = s[R + k]
-                    u = v
-                    f = g0 * r0 - gm
-                    e = h
-                    if affine is not None:
-                        u += c0 * r0
-                    if phi is not None:
-                        e -= t0 * s[PHI + k]
-                    if dim > 1:
-                        r1 = s[R + ROW + k]
-                        f += g1 * r1
-                        if affine is not None:
-                            u += c1 * r1
-                        if phi is not None:
-                            e -= t1 * s[PHI + ROW + k]
-                    if dim > 2:
-                        r2 = s[R + 2 * ROW + k]
-                        f += g2 * r2
-                        if affine is not None:
-                            u += c2 * r2
-                        if phi is not None:
-                            e -= t2 * s[PHI + 2 * ROW + k]
-                    momentum_sum[a, k] += s[W + k] * u
-                    force_sum[a, k] += s[D + k] * f + s[W + k] * e
-        base = rings.start[cell]
-        for k in range(rings.start[cell + 1] - base):
-            vertex = rings.vertex[base + k]
-            grid[vertex, 0] += mass_sum[k]
-            for a in range(dim):
-                grid[vertex, 1 + a] += momentum_sum[a, k]
-                grid[vertex, 1 + dim + a] += force_sum[a, k]
+        cell, end = active[i], start[i + 1]
+        n, frame = gather_ring(axes, s, cell, rings, phi)
+        clear_sums(axes, sums, n, x)
+        for j in range(start[i], end, WIDTH):
+            p, used = batch(order, j, end), occupied(end - j)
+            add_batch(axes, s, t, sums, n, frame, cell, p, used, fields, rings, phi)
+        scatter_sums(axes, sums, n, entry(rings.start, cell), rings, x, grid)
+
+
+@formula
+def no_velocity(x, affine, phi, increment):
+    """Sums of nothing, for `add_velocity`."""
+    o = zero(x[0])
+    v = (o,) * len(x)
+    return (
+        o,
+        o,
+        v,
+        None if phi is None else v,
+        None if affine is None else v,
+        None if increment is None else o,
+    )
+
+
+@formula
+def add_velocity(sums, d, w, r, u, phi, increment):
+    """Sums of w u, D u, D u r, w u phi, w u r and w du over the ring, u a component of the velocity."""
+    v, du, dur, up, ur, dv = sums
+    wu, d = w * u, d * u
+    return (
+        v + wu,
+        du + d,
+        tuple(total + d * r_a for total, r_a in zip(dur, r)),
+        None if phi is None else tuple(total + wu * p for total, p in zip(up, phi)),
+        None if ur is None else tuple(total + wu * r_a for total, r_a in zip(ur, r)),
+        None if increment is None else dv + w * increment,
+    )
+
+
+@formula
+def close_velocity(sums, m, q, phi_bar):
+    """w u, the row of its gradient, w u r and w du from those sums."""
+    v, du, dur, up, ur, dv = sums
+    offset = [total - du * m_a for total, m_a in zip(dur, m)]
+    row = tuple(dot(q_row, offset) for q_row in q)
+    if phi_bar is not None:
+        row = tuple(g + v * mean - total for g, mean, total in zip(row, phi_bar, up))
+    return v, row, ur, dv
+
+
+@formula
+def moved(x, dt, v):
+    """x + dt v."""
+    return x + dt * v
+
+
+@formula
+def new_velocity(old, v, dv, flip):
+    """The velocity on the grid, blended with FLIP's where there is an increment."""
+    if dv is None:
+        return v
+    return flip * (old + dv) + (1.0 - flip) * v
+
+
+@formula
+def deformed(f_row, dt, gradient, f):
+    """A row of F + dt (grad v) F."""
+    return tuple(o + dt * dot(gradient, column) for o, column in zip(f_row, zip(*f)))
+
+
+@njit(**options)
+def update_batch(axes, s, t, n, frame, cell, p, fields, rings, phi, increment, flip, dt):
+    """Update four particles of a cell."""
+    position, velocity, affine, deformation_gradient = fields
+    x = gather(position, p, axes)
+    m, q, phi_bar, _ = weights(axes, s, t, n, x, frame, cell, rings, phi, None)
+    f = gather(deformation_gradient, p, axes)
+    for a in range(len(axes)):
+        sums = no_velocity(x, affine, phi, increment)
+        for k in range(n):
+            at, from_ring = FIRST + k * ENTRY, k * ROW
+            d, w, r = load(t, at + D, x[0]), load(t, at + W, x[0]), load(t, at + R, x)
+            u = entry(s, from_ring + U + a)
+            phi_k = take_optional(s, from_ring + PHI, axes, phi)
+            du = entry_optional(s, from_ring + DU + a, increment)
+            sums = add_velocity(sums, d, w, r, u, phi_k, du)
+        v, row, ur, dv = close_velocity(sums, m, q, phi_bar)
+        scatter_row(velocity, p, a, new_velocity(gather_row(velocity, p, a, axes), v, dv, flip), axes)
+        scatter_row(position, p, a, moved(gather_row(position, p, a, axes), dt, v), axes)
+        f_row = gather_row(deformation_gradient, p, a, axes)
+        scatter_row(deformation_gradient, p, a, deformed(f_row, dt, row, f), axes)
+        scatter_row(affine, p, a, ur, axes)
+
+
+@njit(**options)
+def gather_velocity(axes, s, n, first, rings, velocity, increment):
+    """Copy velocities, and their increments, of a ring into its scratch table."""
+    for k in range(n):
+        vertex = entry(rings.vertex, first + k)
+        store(s, k * ROW + U, take(velocity, vertex * len(axes), axes))
+        if increment is not None:
+            store(s, k * ROW + DU, take(increment, vertex * len(axes), axes))
 
 
 @njit(**options)
@@ -159,83 +318,91 @@ def grid_to_particle(
     v = flip (v + sum w dv) + (1 - flip) sum w v, where `grid_increment` dv is None for PIC and APIC
     (flip = 0); with APIC, B = sum w v (x) r (eq. 2.36).
     """
-    dim = len(axes)
-    s = np.empty(SIZE)
-    b = np.empty(4)
-    x = np.empty(3)
-    gradient = np.empty((3, 3))
-    updated = np.empty((3, 3))
+    s, t = scratch(RING_SIZE), scratch(PARTICLE_SIZE)
+    fields = borrow((position, velocity, affine, deformation_gradient))
+    rings, phi, on_grid = borrow((rings, phi, (grid_velocity, grid_increment)))
     for i in range(first, last):
-        cell = active[i]
-        n = gather_ring(axes, s, cell, rings, phi)
-        base = rings.start[cell]
-        for k in range(rings.start[cell + 1] - base):
-            vertex = rings.vertex[base + k]
-            for a in range(dim):
-                s[U + a * ROW + k] = grid_velocity[vertex, a]
-                if grid_increment is not None:
-                    s[DU + a * ROW + k] = grid_increment[vertex, a]
-        for j in range(start[i], start[i + 1]):
-            p = order[j]
-            for a in range(dim):  # a copy, as a view position[p] would count references
-                x[a] = position[p, a]
-            barycentric(axes, b, x, cell, rings.cells, rings.points, rings.inverse)
-            m, q, phi_bar = weights(axes, s, n, x, b, phi)
-            for a in range(dim):
-                v = du = d0 = d1 = d2 = f0 = f1 = f2 = c0 = c1 = c2 = 0.0
-                for k in range(n):
-                    u = s[U + a * ROW + k]
-                    r0 = s[R + k]
-                    wu = s[W + k] * u
-                    d = s[D + k] * u
-                    v += wu
-                    du += d
-                    d0 += d * r0
-                    if phi is not None:
-                        f0 += wu * s[PHI + k]
-                    if affine is not None:
-                        c0 += wu * r0
-                    if dim > 1:
-                        r1 = s[R + ROW + k]
-                        d1 += d * r1
-                        if phi is not None:
-                            f1 += wu * s[PHI + ROW + k]
-                        if affine is not None:
-                            c1 += wu * r1
-                    if dim > 2:
-                        r2 = s[R + 2 * ROW + k]
-                        d2 += d * r2
-                        if phi is not None:
-                            f2 += wu * s[PHI + 2 * ROW + k]
-                        if affine is not None:
-                            c2 += wu * r2
-                d0 -= du * m[0]
-                d1 -= du * m[1]
-                d2 -= du * m[2]
-                gradient[a, 0] = q[0] * d0 + q[1] * d1 + q[2] * d2 + v * phi_bar[0] - f0
-                gradient[a, 1] = q[3] * d0 + q[4] * d1 + q[5] * d2 + v * phi_bar[1] - f1
-                gradient[a, 2] = q[6] * d0 + q[7] * d1 + q[8] * d2 + v * phi_bar[2] - f2
-                x[a] += dt * v
-                if grid_increment is None:
-                    velocity[p, a] = v
-                else:
-                    dv = 0.0
-                    for k in range(n):
-                        dv += s[W + k] * s[DU + a * ROW + k]
-                    velocity[p, a] = flip * (velocity[p, a] + dv) + (1.0 - flip) * v
-                if affine is not None:
-                    affine[p, a, 0] = c0
-                    if dim > 1:
-                        affine[p, a, 1] = c1
-                    if dim > 2:
-                        affine[p, a, 2] = c2
-            for a in range(dim):
-                position[p, a] = x[a]
-                for c in range(dim):
-                    t = deformation_gradient[p, a, c]
-                    for e in range(dim):
-                        t += dt * gradient[a, e] * deformation_gradient[p, e, c]
-                    updated[a, c] = t
-            for a in range(dim):
-                for c in range(dim):
-                    deformation_gradient[p, a, c] = updated[a, c]
+        cell, end = active[i], start[i + 1]
+        n, frame = gather_ring(axes, s, cell, rings, phi)
+        gather_velocity(axes, s, n, entry(rings.start, cell), rings, *on_grid)
+        for j in range(start[i], end, WIDTH):
+            p = batch(order, j, end)
+            update_batch(axes, s, t, n, frame, cell, p, fields, rings, phi, on_grid[1], flip, dt)
+
+
+@formula
+def add_average(sums, w, weight, value):
+    """w weight and w weight value, added."""
+    return sums[0] + w * weight, sums[1] + w * (weight * value)
+
+
+@formula
+def add_product(sum, w, value):
+    """w value, added."""
+    return sum + w * value
+
+
+@formula
+def chosen(condition, x, y):
+    """x where the condition is not zero, y elsewhere."""
+    return where(condition, x, y)
+
+
+@njit(**options)
+def scatter_average(axes, first, last, active, start, order, position, weight, value, rings, grid):
+    """Add sum w weight and sum w weight value of the particles in active cells to grid[:, 0] and [:, 1].
+
+    Parameters
+    ----------
+    first, last, active, start, order : as for `particle_to_grid`
+    weight, value : (n,) numbers per particle
+    grid : (nv, 2 or more) added to
+    """
+    columns = grid.shape[1]
+    s, t, sums = scratch(RING_SIZE), scratch(PARTICLE_SIZE), scratch(SUMS_SIZE)
+    position, weight, value, rings, grid = borrow((position, weight, value, rings, grid))
+    nothing = zeros((0, 1))
+    for i in range(first, last):
+        cell, end = active[i], start[i + 1]
+        n, frame = gather_ring(axes, s, cell, rings, None)
+        for k in range(n):
+            store(sums, 2 * k, nothing)
+        for j in range(start[i], end, WIDTH):
+            p = batch(order, j, end)
+            weights(axes, s, t, n, gather(position, p, axes), frame, cell, rings, None, None)
+            weight_p = times(gather(weight, p, axes), occupied(end - j))
+            value_p = gather(value, p, axes)
+            for k in range(n):
+                w = load(t, FIRST + k * ENTRY + W, weight_p)
+                store(sums, 2 * k, add_average(load(sums, 2 * k, nothing), w, weight_p, value_p))
+        for k in range(n):
+            vertex = entry(rings.vertex, entry(rings.start, cell) + k)
+            add_totals(grid, vertex * columns, load(sums, 2 * k, nothing))
+
+
+@njit(**options)
+def gather_average(axes, first, last, active, start, order, position, weight, field, rings, out):
+    """out = sum w field for the particles of active cells whose weight is not zero.
+
+    Parameters
+    ----------
+    first, last, active, start, order : as for `particle_to_grid`
+    weight, out : (n,) numbers per particle
+    field : (nv,) numbers per vertex
+    """
+    s, t = scratch(RING_SIZE), scratch(PARTICLE_SIZE)
+    position, weight, field, rings, out = borrow((position, weight, field, rings, out))
+    for i in range(first, last):
+        cell, end = active[i], start[i + 1]
+        n, frame = gather_ring(axes, s, cell, rings, None)
+        base = entry(rings.start, cell)
+        for j in range(start[i], end, WIDTH):
+            p = batch(order, j, end)
+            x = gather(position, p, axes)
+            weights(axes, s, t, n, x, frame, cell, rings, None, None)
+            average = zeros((0,))[0]
+            for k in range(n):
+                w = load(t, FIRST + k * ENTRY + W, average)
+                average = add_product(average, w, entry(field, entry(rings.vertex, base + k)))
+            old, weight_p = gather(out, p, axes), gather(weight, p, axes)
+            scatter(out, p, chosen(weight_p, average, old), axes)
