@@ -28,8 +28,8 @@ def average_jacobian(simulation, bodies):
     transfer.scatter_average(k.axes, *sorted_cells, share, jacobian, k.rings, sums)
     grid.fold_scalars(sums, *active, unknowns, layer.source)
     s.borders.add_shared(sums, *active)
-    field = grid.divide(sums, s.vertices, s.num_vertices, unknowns, layer.source)
-    transfer.gather_average(k.axes, *sorted_cells, share, field, k.rings, average)
+    grid.divide(sums, s.vertices, s.num_vertices, unknowns, layer.source, s.scalar)
+    transfer.gather_average(k.axes, *sorted_cells, share, s.scalar, k.rings, average)
     for b in bodies:
         part = p.ranges[b]
         with np.errstate(invalid="ignore"):  # an inverted particle is found by `update_stress`

@@ -152,14 +152,13 @@ def fold_scalars(grid, stamp, now, first_mirror, source):
 
 
 @njit(**options)
-def divide(grid, vertices, n, first_mirror, source):
-    """Write column 1 / column 0 of the listed vertices to column 0, at mirrors that of their source."""
+def divide(grid, vertices, n, first_mirror, source, out):
+    """out = column 1 / column 0 of the listed vertices, at mirrors that of their source."""
     for i in range(n):
         v = vertices[i]
-        if v < first_mirror and grid[v, 0] > 0:
-            grid[v, 0] = grid[v, 1] / grid[v, 0]
+        if v < first_mirror:
+            out[v] = grid[v, 1] / grid[v, 0] if grid[v, 0] > 0 else 1.0
     for i in range(n):
         v = vertices[i]
         if v >= first_mirror:
-            grid[v, 0] = grid[source[v - first_mirror], 0]
-    return grid[:, 0]
+            out[v] = out[source[v - first_mirror]]

@@ -145,6 +145,7 @@ class Simulation:
         self.velocity = np.zeros((nv, d))
         self.increment = np.zeros((nv if self.flip > 0 else 0, d))
         self.f_bar = [b for b, body in enumerate(self.bodies) if body.f_bar]
+        self.scalar = np.zeros(nv if self.f_bar else 0)
 
     def distribute(self, count):
         """Deal the cells out to the ranks, particles `count` (nc,) in each. Collective."""
