@@ -54,7 +54,8 @@ def test_arrays_of_unused_parts_are_empty():
         threads=2,
     )
     off = [name for name, on in full.active_parts().items() if not on]
-    assert off == ["affine matrices (APIC)", "barrier contact", "F-bar", "condition on vertices", "several ranks"]
+    unused = {"affine matrices (APIC)", "barrier contact", "F-bar", "condition on vertices", "several ranks"}
+    assert set(off) == unused
     assert len(full.kernel.phi) == len(full.kernel.points) > len(graded.points)
 
 
