@@ -208,8 +208,7 @@ class Simulation:
             self.steps,
             self.vertices,
         )
-        shares = np.linspace(0, len(p), self.threads + 1)
-        self.shares = np.searchsorted(self.start[: self.num_active + 1], shares)
+        self.shares = np.searchsorted(self.start[: self.num_active + 1], self.parts(0, len(p)))
 
     def particle_to_grid(self):
         """Mass, momentum and force of the particles on the vertices."""
@@ -321,6 +320,10 @@ class Simulation:
 
         self.on_threads(share)
 
+    def parts(self, first, last):
+        """Bounds of equal parts of a range, one part per thread."""
+        return [first + (last - first) * t // self.threads for t in range(self.threads + 1)]
+
     def on_threads(self, share):
         """Call share(thread) for every thread."""
         if self.pool is None:
@@ -337,10 +340,19 @@ class Simulation:
         """Kirchhoff stress of every body from its material; returns a SimulationError if one is inverted."""
         p = self.particles
         for body, part in zip(self.bodies, p.ranges, strict=True):
-            state = {name: p.state[name][part] for name in getattr(body.material, "state", ())}
-            bad = body.material.kirchhoff_stress(p.deformation_gradient[part], p.stress[part], **state)
-            if bad >= 0:
-                i = part.start + bad
+            names, bounds = getattr(body.material, "state", ()), self.parts(part.start, part.stop)
+            first_bad = np.full(self.threads, len(p))
+
+            def share(thread, material=body.material, names=names, bounds=bounds, first_bad=first_bad):
+                piece = slice(bounds[thread], bounds[thread + 1])
+                state = {name: p.state[name][piece] for name in names}
+                bad = material.kirchhoff_stress(p.deformation_gradient[piece], p.stress[piece], **state)
+                if bad >= 0:
+                    first_bad[thread] = piece.start + bad
+
+            self.on_threads(share)
+            i = first_bad.min()
+            if i < len(p):
                 j = np.linalg.det(p.deformation_gradient[i])
                 return SimulationError(
                     f"particle {p.id[i]} of body {body.name!r} has det F = {j:.3g}, inverted or not finite, "
@@ -356,7 +368,7 @@ class Simulation:
         """
         p, m = self.particles, self.mesh
         counts = np.zeros((self.threads, 2), np.int64)
-        bounds = np.linspace(0, len(p), self.threads + 1).astype(int)
+        bounds = self.parts(0, len(p))
 
         def share(thread):
             locate.walk(

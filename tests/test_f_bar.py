@@ -61,7 +61,7 @@ def test_strip_footing():
 
 @pytest.mark.parametrize("build, d", [(lambda: rectangle(8, 8), 2), (lambda: cube(4), 3)])
 def test_average(build, d):
-    """Against dense sums of the kernel's weights; a uniform change of volume stays, and so do other bodies."""
+    """Against dense sums of the kernel's weights; uniform changes stay, and so do other bodies."""
     mesh = build()
     rng = np.random.default_rng(1)
     solid = fempm.NeoHookean(1.0, 10.0, 0.3)
