@@ -5,7 +5,8 @@ from numba import njit
 
 LEAST = 0.05  # of d_hat: at smaller distances force and stiffness grow no more
 WATCH = 2.0  # of d_hat: particles nearer than that limit the time step
-STICK = 2.0  # of kappa: stiffness 2 mu f_n / eps of friction that holds, which sets eps
+STIFFNESS = 4.0  # kappa d_hat / A over the modulus of the body
+STICK = 0.5  # of kappa: stiffness 2 mu f_n / eps of friction that holds, which sets eps
 SLIP = 0.2  # of d_hat: eps is at most this, a twentieth of the mesh size
 
 compiled = {"cache": True, "nogil": True, "error_model": "numpy"}
@@ -127,6 +128,13 @@ def wall_contacts(
 
 
 @njit(**compiled)
+def stiffness(gap, reach, kappa):
+    """Second derivative of the barrier, zero beyond its reach."""
+    r = gap / reach
+    return -kappa * (2.0 * np.log(r) - 1.0 / r + 1.0 + (r - 1.0) * (2.0 / r + 1.0 / r**2)) if r < 1 else 0.0
+
+
+@njit(**compiled)
 def contact_forces(
     num,
     particle,
@@ -146,8 +154,9 @@ def contact_forces(
 ):
     """Write the forces of all contacts to `force` (n, d), and eps; returns the rate to resolve (1 / s).
 
-    The rate is the largest of sqrt((B'' + friction's stiffness) / m) and 2 v_n / d: the time step is below
-    half of the stability limit of the springs, and nobody comes nearer by more than half its distance.
+    The rate is the largest of sqrt((B'' + friction's stiffness) / m), B'' now and after the step, and
+    2 v_n / d: the time step is below half of the stability limit of the springs, and nobody comes nearer
+    by more than half its distance.
     """
     d = normal.shape[1]
     force[:] = 0.0
@@ -162,20 +171,23 @@ def contact_forces(
         for a in range(d):
             approach -= velocity[p, a] * normal[i, a]
         rate = max(rate, 2.0 * approach / gap)
+        kappa = modulus[body] * volume[p] ** (1.0 - 1.0 / d) / reach[s]
+        if approach > 0:  # the step must resolve the barrier where it leads to as well
+            least = LEAST * reach[s]
+            while stiffness(max(gap - approach / rate, least), reach[s], kappa) > mass[p] * rate**2:
+                rate *= 1.2
         slip_limit[i] = 0.0
         if gap >= reach[s]:
             continue
-        kappa = modulus[body] * volume[p] ** (1.0 - 1.0 / d) / reach[s]
         r = gap / reach[s]
-        slope = 2.0 * np.log(r) - 1.0 / r + 1.0
-        f = kappa * (gap - reach[s]) * slope
-        stiffness = -kappa * (slope + (r - 1.0) * (2.0 / r + 1.0 / r**2))
+        f = kappa * (gap - reach[s]) * (2.0 * np.log(r) - 1.0 / r + 1.0)
+        spring = stiffness(gap, reach[s], kappa)
         for a in range(d):
             force[p, a] += f * normal[i, a]
         if slip is not None and friction[s] > 0:
             eps = min(2.0 * friction[s] * f / (STICK * kappa), SLIP * reach[s])
             slip_limit[i] = eps
-            stiffness += 2.0 * friction[s] * f / eps
+            spring += 2.0 * friction[s] * f / eps
             square, along = 0.0, 0.0
             for a in range(d):
                 square += slip[p, a] ** 2
@@ -185,7 +197,7 @@ def contact_forces(
                 share = (2.0 - u / eps) / eps if u < eps else 1.0 / u
                 for a in range(d):
                     force[p, a] -= friction[s] * f * share * (slip[p, a] - along * normal[i, a])
-        rate = max(rate, np.sqrt(stiffness / mass[p]))
+        rate = max(rate, np.sqrt(spring / mass[p]))
     return rate
 
 
