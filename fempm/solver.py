@@ -243,6 +243,7 @@ class Simulation:
         layer, unknowns = self.layer, len(self.mesh.points) + self.layer.num_free
         drift, change = self.wall_motion(dt)
         self.fold(drift[0])
+        self.borders.add_shared(self.grids[0], self.stamp, self.steps)
         dropped, lost = grid.update_velocity(
             self.grids[0],
             self.vertices,
@@ -279,11 +280,10 @@ class Simulation:
             self.increment[v] += now - before
 
     def fold(self, drift):
-        """Add what mirrors hold to their owners, and what other ranks hold to shared vertices."""
+        """Add what mirrors hold to their owners."""
         layer, unknowns = self.layer, len(self.mesh.points) + self.layer.num_free
         active = (self.stamp, self.steps)
         grid.fold_mirrors(self.grids[0], *active, unknowns, layer.source, layer.fold, drift, self.gravity)
-        self.borders.add_shared(self.grids[0], *active)
 
     def wall_motion(self, dt):
         """What moving walls add to mirror and wall vertices: velocities, and their change in a step."""
@@ -419,8 +419,7 @@ class Simulation:
         nv, d = len(self.mesh.points), self.mesh.dim
         self.particle_to_grid()
         self.fold(self.wall_motion(0.0)[0][0])
-        counted = (self.stamp[:nv] == self.steps) & self.borders.counted[:nv]
-        fields = np.where(counted[:, None], self.grids[0, :nv, : 1 + d], 0.0)
+        fields = np.where((self.stamp[:nv] == self.steps)[:, None], self.grids[0, :nv, : 1 + d], 0.0)
         fields = self.ranks.sum(fields)
         mass, momentum = fields[:, 0], fields[:, 1:]
         seen = mass > self.smallest_mass

@@ -3,6 +3,9 @@
 import io
 import subprocess
 import sys
+import warnings
+import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import h5py
 import meshio
@@ -100,7 +103,6 @@ def test_killed_run_leaves_readable_files(tmp_path):
     steps = list(particle_steps(path))
     assert [t for _, _, t, _ in steps] == [0, 1, 2]
     assert np.all(steps[2][3]["v"] == 2)
-    assert not list(tmp_path.glob("*.part"))
 
 
 def test_readable_from_another_process_while_open(tmp_path):
@@ -137,22 +139,95 @@ def test_time_log_round_trip_is_exact(tmp_path):
     path = tmp_path / "logs" / "run.csv"
     rng = np.random.default_rng(0)
     a, b = rng.normal(size=(2, 21)) * 10.0 ** rng.integers(-300, 300, 21)
-    with TimeLog(path, every=2) as log:
+    with TimeLog(path) as log:
         for k in range(21):
-            log.write(k, t=a[k], energy=np.float64(b[k]), n=np.int64(k**2))
-            assert len(path.read_text().splitlines()) == 2 + k // 2
+            log.write(2 * k, t=a[k], energy=np.float64(b[k]), n=np.int64(k**2))
+            assert len(path.read_text().splitlines()) == 2 + k
         with pytest.raises(ValueError, match="columns"):
-            log.write(22, t=0.0)
+            log.write(42, t=0.0)
     table = np.genfromtxt(path, names=True, delimiter=",")
     assert table.dtype.names == ("step", "t", "energy", "n")
-    assert np.array_equal(table["step"], np.arange(0, 21, 2))
-    assert np.array_equal(table["t"], a[::2]) and np.array_equal(table["energy"], b[::2])
-    assert np.array_equal(table["n"], np.arange(0, 21, 2) ** 2)
+    assert np.array_equal(table["step"], np.arange(0, 42, 2))
+    assert np.array_equal(table["t"], a) and np.array_equal(table["energy"], b)
+    assert np.array_equal(table["n"], np.arange(21) ** 2)
+
+
+def write_series(folder, frames, keep_before=None):
+    """A particle file, mesh file and log of some frames; text of the light data and all arrays."""
+    points, cells, _ = SIMPLEX[2]
+    time, step = (-np.inf, None) if keep_before is None else (0.1 * keep_before, keep_before)
+    with (
+        ParticleFile(folder / "p.xdmf", time) as particles,
+        MeshFile(folder / "m.xdmf", points, cells, time) as mesh,
+        TimeLog(folder / "l.csv", step) as log,
+    ):
+        kept = len(particles.times), len(mesh.times), len(log.columns.get("t", []))
+        for k in frames:
+            x = np.random.default_rng(k).normal(size=(4 + k, 2))
+            particles.write(0.1 * k, x, v=2 * x)
+            mesh.write(0.1 * k, m=np.arange(4) + k)
+            log.write(k, t=0.1 * k, x=x[0, 0])
+    files = [(folder / name).read_text() for name in ("p.xdmf", "m.xdmf", "l.csv")]
+    arrays = {}
+    for name in ("p.h5", "m.h5"):
+        with h5py.File(folder / name) as h:
+            h.visititems(lambda key, a: arrays.update({key: a[()].tolist()} if hasattr(a, "shape") else {}))
+    return kept, files, arrays
+
+
+@pytest.mark.parametrize("keep", [0, 1, 3, 5])
+def test_series_are_continued(tmp_path, keep):
+    """Frames before a moment are kept, later ones written again: the files are those of one go."""
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    _, files, arrays = write_series(whole, range(7))
+    write_series(parts, range(5))
+    kept, files_of_parts, arrays_of_parts = write_series(parts, range(keep, 7), keep_before=keep)
+    assert kept == (keep, keep, keep)
+    assert files_of_parts == files
+    arrays_of_parts = {k: a for k, a in arrays_of_parts.items() if k in arrays}  # HDF5 keeps unused cells/n
+    assert arrays_of_parts == arrays
+
+
+def cut(path):
+    path.write_bytes(path.read_bytes()[:-40])
+
+
+def garble(path):
+    path.write_bytes(b"\xff\x00,1\nstep" * 5)
+
+
+@pytest.mark.parametrize("damage, warned", [(cut, 1), (garble, 1), (Path.unlink, 0)])
+def test_series_that_cannot_be_continued_start_anew(tmp_path, damage, warned):
+    """With a warning that names the file, unless it is just missing."""
+    for name in ("p.xdmf", "p.h5", "m.xdmf", "l.csv"):
+        write_series(tmp_path, range(5))
+        damage(tmp_path / name)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            kept, files, _ = write_series(tmp_path, range(3, 7), keep_before=3)
+        anew = {"p": 0, "m": 1, "l": 2}[name[0]]
+        if (damage, name) == (cut, "l.csv"):  # the rows that are kept are whole
+            assert not caught and kept == (3, 3, 3)
+            continue
+        assert len(caught) == warned and all(f"/{name[0]}." in str(w.message) for w in caught)
+        assert [k for i, k in enumerate(kept) if i != anew] == [3, 3] and kept[anew] == 0
+        assert len(list(particle_steps(tmp_path / "p.xdmf"))) == (4 if anew == 0 else 7)
 
 
 def test_import_needs_no_dolfinx():
     code = "import sys; sys.modules['dolfinx'] = None; import fempm.output"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_light_data_are_appended(tmp_path):
+    """A frame rewrites the closing tags and no more: the file is whole after each, as long as its frames."""
+    path, sizes = tmp_path / "p.xdmf", [0]
+    with ParticleFile(path) as f:
+        for k in range(9):
+            f.write(k, np.zeros((2, 2)), v=np.zeros(2))
+            sizes.append(path.stat().st_size)
+            assert len(ET.parse(path).findall(".//Time")) == k + 1
+    assert len(set(np.diff(sizes)[1:])) == 1
 
 
 def test_progress_in_a_file_prints_few_lines():
