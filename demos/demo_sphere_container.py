@@ -18,11 +18,11 @@ def main(argv=None):
         until=0.01,
         h=(0.08, "mesh size of the sphere in m"),
         body_h=(0.045, "mesh size of the body in m, 8 particles in each of its cells"),
-        full=(False, "as fine as in the thesis, h = 0.025 m and 2.4 million particles: hours"),
+        full=(False, "as fine as in the thesis, h = 0.025 m and 2.4 million particles: hours, 2 GB"),
         wall=(("contact", "slip", "sticky"), "what the body does at the wall"),
         cfl=(0.3, "time step over cell size / (wave speed + particle speed)"),
     )
-    h, body_h = (0.025, 0.0083) if args.full else (args.h, args.body_h)
+    h, body_h = (0.025, 0.0075) if args.full else (args.h, args.body_h)
     mesh = fempm.read_mesh(MESHES / "sphere.geo", h=h)
     shape = fempm.read_mesh(MESHES / "metatron.geo", h=body_h, R=0.33)
     rubber = fempm.NeoHookean(density=1000.0, young=3.3e6, poisson=0.49)
