@@ -1,6 +1,7 @@
 """An orderly end of runs that are told to stop by Ctrl-C or SIGTERM."""
 
 import signal
+import sys
 import threading
 
 
@@ -22,7 +23,13 @@ class Interrupted(SystemExit):
 
 
 class StopRequests:
-    """Notes SIGINT and SIGTERM while it is entered; does nothing outside the main thread."""
+    """Notes SIGINT and SIGTERM while it is entered, and says at the end how to go on after Interrupted.
+
+    Outside the main thread, where Python has no signal handlers, nothing is noted.
+    """
+
+    def __init__(self, ranks):
+        self.ranks = ranks
 
     def __enter__(self):
         self.received, self._before = False, {}
@@ -31,9 +38,11 @@ class StopRequests:
                 self._before[number] = signal.signal(number, self._note) or signal.SIG_DFL
         return self
 
-    def __exit__(self, *exc):
+    def __exit__(self, kind, error, traceback):
         for number, handler in self._before.items():
             signal.signal(number, handler)
+        if isinstance(error, Interrupted):  # together, as the first rank to end may end all
+            self.ranks.broadcast(lambda: print(error.message, file=sys.stderr, flush=True))
 
     def _note(self, number, frame):
         self.received = True

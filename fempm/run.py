@@ -1,7 +1,6 @@
 """Running a simulation: time loop, output frames, log, checkpoints, and an orderly end when it fails."""
 
 import contextlib
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -51,7 +50,7 @@ def run(
 ):
     """Advance a simulation to the time `until`. Collective; the first rank writes all files.
 
-    Ctrl-C and SIGTERM end the run after the step at hand: the state goes to <output>_checkpoint.h5.
+    Ctrl-C and SIGTERM end it with Interrupted, a SystemExit, and a checkpoint <output>_checkpoint.h5.
 
     Parameters
     ----------
@@ -74,15 +73,10 @@ def run(
 
     Raises
     ------
-    SimulationError, LostParticles
-        with time and place; the state at that time is written to <output>_last.xdmf. RemoteError
-        on ranks where nothing is wrong
-    Interrupted
-        a SystemExit, after Ctrl-C or SIGTERM
-    ValueError
-        for a final time before the current one, a time step that is not positive, or no frames
-    CheckpointError
-        if `restart` does not fit, see `load_checkpoint`
+    SimulationError, LostParticles, and RemoteError on ranks where nothing is wrong
+        with time and place; the state at that time is written to <output>_last.xdmf
+    ValueError, CheckpointError
+        for options that are out of range; for a checkpoint that does not fit
     """
     check_options(frames, every, log_every, dt, checkpoint_every)
     ranks, start = simulation.ranks, simulation.time
@@ -91,18 +85,13 @@ def run(
     times = output_times(start, simulation.time, until, frames, every)
     record = Record()
     bar = Progress(until, done=simulation.time) if progress and ranks.rank == 0 else None
-    try:
-        with (
-            StopRequests() as stop,
-            Output(simulation, output, record, watch, resume=restart is not None) as files,
-            bar or contextlib.nullcontext(),
-        ):
-            checkpoints = Checkpoints(files, checkpoint_every, stop)
-            advance_through(simulation, times, dt, log_every, files, checkpoints, bar)
-    except Interrupted as end:
-        message = end.message
-        ranks.broadcast(lambda: print(message, file=sys.stderr, flush=True))
-        raise
+    with (
+        StopRequests(ranks) as stop,
+        Output(simulation, output, record, watch, resume=restart is not None) as files,
+        bar or contextlib.nullcontext(),
+    ):
+        checkpoints = Checkpoints(files, checkpoint_every, stop)
+        advance_through(simulation, times, dt, log_every, files, checkpoints, bar)
     record.log = {name: np.array(column) for name, column in record.log.items()}
     return record
 
