@@ -119,6 +119,9 @@ def least_squares(
     max_iterations,
 ):
     """Smallest phi with fold(K phi) = -target, by PETSc's LSQR; rows and columns scaled to size one."""
+    from . import compat  # noqa: F401, before PETSc: see there
+
+    # isort: split
     from petsc4py import PETSc
 
     shape = target.shape
