@@ -135,6 +135,28 @@ def stiffness(gap, reach, kappa):
 
 
 @njit(**compiled)
+def approach_rate(approach, gap, reach, kappa):
+    """Rate at which a particle closes half its gap, or finds a barrier of stiffness rate^2 where it gets to.
+
+    `kappa` is that of the barrier over the mass. It depends on this particle alone, so that time steps
+    are the same on any number of ranks.
+    """
+    if not approach > 0:
+        return 0.0
+    low = 2.0 * approach / gap
+    high = np.sqrt(stiffness(max(0.5 * gap, LEAST * reach), reach, kappa))
+    if high <= low:
+        return low
+    for _ in range(10):
+        middle = np.sqrt(low * high)
+        if stiffness(max(gap - approach / middle, LEAST * reach), reach, kappa) > middle**2:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+@njit(**compiled)
 def contact_forces(
     num,
     particle,
@@ -170,12 +192,8 @@ def contact_forces(
         approach = 0.0
         for a in range(d):
             approach -= velocity[p, a] * normal[i, a]
-        rate = max(rate, 2.0 * approach / gap)
         kappa = modulus[body] * volume[p] ** (1.0 - 1.0 / d) / reach[s]
-        if approach > 0:  # the step must resolve the barrier where it leads to as well
-            least = LEAST * reach[s]
-            while stiffness(max(gap - approach / rate, least), reach[s], kappa) > mass[p] * rate**2:
-                rate *= 1.2
+        rate = max(rate, approach_rate(approach, gap, reach[s], kappa / mass[p]))
         slip_limit[i] = 0.0
         if gap >= reach[s]:
             continue

@@ -94,14 +94,16 @@ def bisect(centres, weights, parts):
     weights = weights + 1e-3 * weights.mean()  # so that empty regions are divided as well
 
     def split(cells, first, parts):
-        if parts == 1:
+        if parts == 1 or len(cells) == 0:  # none are left beside a cell of more than half of the weight
             owner[cells] = first
             return
         occupied = cells[weights[cells] > weights.min()]
         axis = np.argmax(np.ptp(centres[occupied if len(occupied) else cells], axis=0))
         order = cells[np.argsort(centres[cells, axis], kind="stable")]
         below = np.cumsum(weights[order])
-        cut = int(np.searchsorted(below, below[-1] * (parts // 2) / parts))
+        # to the left what lies there by more than half: off by half a cell's weight at most
+        middle = below - weights[order] / 2
+        cut = int(np.searchsorted(middle, below[-1] * (parts // 2) / parts))
         split(order[:cut], first, parts // 2)
         split(order[cut:], first + parts // 2, parts - parts // 2)
 
@@ -123,7 +125,6 @@ class Borders:
     def __init__(self, ranks, owner, ring_start, ring_vertex, num_vertices):
         self.ranks, self.shared = ranks, {}
         if ranks.size == 1:
-            self.counted = np.ones(num_vertices, bool)
             return
         mine = touched(owner, ranks.rank, ring_start, ring_vertex, num_vertices)
         for other in set(range(ranks.size)) - {ranks.rank}:
@@ -131,11 +132,6 @@ class Borders:
             common = np.flatnonzero(mine & theirs).astype(np.int32)
             if len(common):
                 self.shared[other] = common
-        # the lowest of the ranks that share a vertex counts it in sums over all vertices
-        self.counted = mine.copy()
-        for other, common in self.shared.items():
-            if other < ranks.rank:
-                self.counted[common] = False
 
     def add_shared(self, grid, stamp, now):
         """Add to the rows of `grid` (nv, m) that this rank uses now what the other ranks hold. Collective."""
