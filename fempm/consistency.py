@@ -15,19 +15,18 @@ smooth rest, which is of second order anyway. Hence the cap on iterations.
 import numpy as np
 from numba import njit
 
-from .lanes import borrow, entry, load, scratch, store, take
+from .lane_memory import borrow, entry, load, scratch, store, take
 from .simplex import quadrature
 from .weights import (
     ENTRY,
     FIRST,
     MAX_RING,
-    PARTICLE_SIZE,
-    RING_SIZE,
+    TABLE_SIZE,
     D,
     R,
     W,
-    gather_ring,
     gradient,
+    ring_of,
     weights,
 )
 
@@ -247,15 +246,15 @@ def integrate(
     """Add the integrals of all cells to K, r and int w."""
     dim = len(axes)
     cells, points = rings.cells, rings.points
-    ring_start, ring_vertex = rings.start, rings.vertex
-    s, t, lent = scratch(RING_SIZE), scratch(PARTICLE_SIZE), borrow(rings)
+    ring_vertex = rings.vertex
+    t, lent = scratch(TABLE_SIZE), borrow(rings)
     local = np.empty((MAX_RING, MAX_RING))
     g = np.empty((3, MAX_RING))
     wr = np.empty((4, MAX_RING))
     x = np.empty(dim)
     for c in range(len(cells)):
-        first = ring_start[c]
-        n, frame = gather_ring(axes, s, c, lent, None)
+        ring = ring_of(axes, c, lent)
+        first, n, _ = ring
         local[:n, :n] = 0.0
         for i in range(len(rule)):
             for a in range(dim):
@@ -263,7 +262,7 @@ def integrate(
                 for q in range(dim + 1):
                     x[a] += rule[i, q] * points[cells[c, q], a]
             x_i = take(x, 0, axes)
-            m, k_inverse, _, _ = weights(axes, s, t, n, x_i, frame, c, lent, None, None)
+            m, k_inverse, _, _, _, _ = weights(axes, t, ring, x_i, lent, None, None)
             dv = rule_weights[i] * volumes[c]
             for k in range(n):
                 v = ring_vertex[first + k]

@@ -10,24 +10,28 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from .lanes import borrow, entry, load, scratch, store, take, take_optional
+from .lane_memory import (
+    borrow,
+    entry,
+    load,
+    scratch,
+    store,
+    take,
+)
 from .mesh import mean_edge_length
 from .walls import attached_adjacency
 from .weights import (
     ENTRY,
     FIRST,
     MAX_RING,
-    PARTICLE_SIZE,
-    PHI,
-    RING_SIZE,
-    ROW,
+    TABLE_SIZE,
     D,
     R,
     Rings,
     W,
-    gather_ring,
     gradient,
     optional,
+    ring_of,
     weights,
 )
 
@@ -212,15 +216,16 @@ def evaluate_many(kernel, x, cell):
 @njit(cache=True, error_model="numpy")
 def tabulate(axes, x, cell, rings, phi, w, g):
     """Loop of `evaluate_many`."""
-    s, t, (rings, phi) = scratch(RING_SIZE), scratch(PARTICLE_SIZE), borrow((rings, phi))
+    t, (rings, phi) = scratch(TABLE_SIZE), borrow((rings, phi))
     for p in range(len(x)):
-        n, frame = gather_ring(axes, s, cell[p], rings, phi)
+        ring = ring_of(axes, cell[p], rings)
         x_p = take(x, p * len(axes), axes)
-        m, q, phi_bar, _ = weights(axes, s, t, n, x_p, frame, cell[p], rings, phi, None)
+        m, q, phi_bar, _, _, _ = weights(axes, t, ring, x_p, rings, phi, None)
+        first, n, _ = ring
         for k in range(n):
             at = FIRST + k * ENTRY
             w[p, k] = entry(t, at + W)
-            phi_k = take_optional(s, k * ROW + PHI, axes, phi)
+            phi_k = take(phi, entry(rings.vertex, first + k) * len(axes), axes)
             g_k = gradient(entry(t, at + D), w[p, k], load(t, at + R, x_p), m, q, phi_bar, phi_k)
             store(g, (p * MAX_RING + k) * len(axes), g_k)
 
@@ -252,11 +257,11 @@ def negative_weights(kernel, x, cell):
 @njit(cache=True, error_model="numpy")
 def largest_weight(axes, x, rings, out):
     """Raise `out` to the largest |w| at one point of every cell; not a number stays."""
-    s, t, rings = scratch(RING_SIZE), scratch(PARTICLE_SIZE), borrow(rings)
+    t, rings = scratch(TABLE_SIZE), borrow(rings)
     for c in range(len(x)):
-        n, frame = gather_ring(axes, s, c, rings, None)
-        weights(axes, s, t, n, take(x, c * len(axes), axes), frame, c, rings, None, None)
-        for k in range(n):
+        ring = ring_of(axes, c, rings)
+        weights(axes, t, ring, take(x, c * len(axes), axes), rings, None, None)
+        for k in range(ring[1]):
             w = abs(entry(t, FIRST + k * ENTRY + W))
             if out[c] == out[c] and not w <= out[c]:
                 out[c] = w
@@ -265,10 +270,10 @@ def largest_weight(axes, x, rings, out):
 @njit(cache=True, error_model="numpy")
 def smallest_weight(axes, x, cell, rings, out):
     """Least weight at every point."""
-    s, t, rings = scratch(RING_SIZE), scratch(PARTICLE_SIZE), borrow(rings)
+    t, rings = scratch(TABLE_SIZE), borrow(rings)
     for p in range(len(x)):
-        n, frame = gather_ring(axes, s, cell[p], rings, None)
-        weights(axes, s, t, n, take(x, p * len(axes), axes), frame, cell[p], rings, None, None)
+        ring = ring_of(axes, cell[p], rings)
+        weights(axes, t, ring, take(x, p * len(axes), axes), rings, None, None)
         out[p] = np.inf
-        for k in range(n):
+        for k in range(ring[1]):
             out[p] = min(out[p], entry(t, FIRST + k * ENTRY + W))

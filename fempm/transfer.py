@@ -1,19 +1,15 @@
 """Particle-to-grid and grid-to-particle transfers (thesis Algorithm 1, lines 2-5 and 7-8).
 
-Both walk over the cells that hold particles: the ring of a cell is gathered once, its particles run along it
-four at a time (see `weights` and `lanes`), sums are kept per cell and scattered once.
+Both walk over the cells that hold particles, which run along the ring of their cell four at a time (see
+`weights` and `lanes`). P2G keeps sums of every ring vertex in four lanes, which are added up once per cell.
 """
 
 from numba import njit
 
-from .lanes import (
-    WIDTH,
+from .lane_memory import (
     add_totals,
     borrow,
-    dot,
     entry,
-    entry_optional,
-    formula,
     gather,
     gather_row,
     load,
@@ -23,33 +19,28 @@ from .lanes import (
     scratch,
     store,
     take,
-    take_optional,
-    where,
-    zero,
     zeros,
 )
+from .lanes import WIDTH, dot, formula, where, zero
 from .weights import (
-    DU,
     ENTRY,
     FIRST,
     MAX_RING,
-    PARTICLE_SIZE,
-    PHI,
-    RING_SIZE,
-    ROW,
+    TABLE_SIZE,
     D,
     R,
-    U,
     W,
     full,
-    gather_ring,
     inverse_symmetric,
     options,
+    ring_of,
     weights,
 )
 
+SUMS_SIZE = MAX_RING * 7 * WIDTH
 
-@njit(**options)
+
+@njit(forceinline=True, **options)
 def batch(order, j, end):
     """The particles j, j + 1, ... of `order`, the last of the cell in all lanes that are left over."""
     last = end - 1
@@ -72,19 +63,17 @@ def momentum_of(mass, velocity, affine, inertia):
 
 
 @formula
-def force_of(volume, stress, force, used, m, q, phi_bar):
-    """Force of particles as a function D (g . r - gm) + w (h - t . phi): g, gm, h and t."""
+def force_of(volume, stress, force, used, m, q, phi_bar, a0, b):
+    """Force of particles as a function D (g . r + g0) - w t . phi: g, g0 and t."""
     t = tuple(tuple(-volume * s for s in row) for row in stress)
-    g = tuple(tuple(dot(row, column) for column in zip(*q)) for row in t)
-    gm = tuple(dot(row, m) for row in g)
-    h = None if phi_bar is None else tuple(dot(row, phi_bar) for row in t)
+    g = [[dot(row, column) for column in zip(*q)] for row in t]
+    g0 = [-dot(row, m) for row in g]
+    h = [zero(a0)] * len(m) if phi_bar is None else [dot(row, phi_bar) for row in t]
     if force is not None:
-        force = tuple(used * f for f in force)
-        h = force if h is None else tuple(a + b for a, b in zip(h, force))
-    return g, gm, h, t
-
-
-SUMS_SIZE = MAX_RING * 7 * WIDTH
+        h = [h_a + used * f for h_a, f in zip(h, force)]
+    # w h = D (a0 - b . r) h joins the first part
+    g = tuple(tuple(g_ac - h_a * b_c for g_ac, b_c in zip(row, b)) for row, h_a in zip(g, h))
+    return g, tuple(g_a + h_a * a0 for g_a, h_a in zip(g0, h)), t
 
 
 @formula
@@ -97,19 +86,13 @@ def no_sums(x):
 def add_vertex(sums, d, w, r, phi, momentum, force):
     """Mass, momentum and force of a vertex with the particles' shares added."""
     mass, p, c = momentum
-    g, gm, h, t = force
-    dim = len(r)
-    out = [sums[0] + w * mass]
-    for a in range(dim):
-        out.append(sums[1 + a] + w * (p[a] if c is None else p[a] + dot(c[a], r)))
-    for a in range(dim):
-        f = sums[1 + dim + a] + d * (dot(g[a], r) - gm[a])
-        if phi is not None:
-            f = f + w * (h[a] - dot(t[a], phi))
-        elif h is not None:
-            f = f + w * h[a]
-        out.append(f)
-    return tuple(out)
+    g, g0, t = force
+    axes = range(len(r))
+    u = [p[a] if c is None else p[a] + dot(c[a], r) for a in axes]
+    f = [sums[1 + len(r) + a] + d * (g0[a] + dot(g[a], r)) for a in axes]
+    if phi is not None:
+        f = [f[a] - w * dot(t[a], phi) for a in axes]
+    return (sums[0] + w * mass, *(sums[1 + a] + w * u[a] for a in axes), *f)
 
 
 @formula
@@ -119,38 +102,29 @@ def times(x, y):
 
 
 @njit(**options)
-def add_batch(axes, s, t, sums, n, frame, cell, p, used, fields, rings, phi):
-    """Add four particles to the sums of their cell."""
+def add_batch(axes, t, sums, ring, p, used, fields, rings, phi, grid, fresh, last):
+    """Add four particles to the sums of their cell; the last four, and the sums, to the vertices."""
     position, velocity, affine, mass, volume, stress, force = fields
     x = gather(position, p, axes)
-    m, q, phi_bar, inertia = weights(axes, s, t, n, x, frame, cell, rings, phi, affine)
+    m, q, phi_bar, a0, b, inertia = weights(axes, t, ring, x, rings, phi, affine)
     mass_p, volume_p = times(gather(mass, p, axes), used), times(gather(volume, p, axes), used)
     momentum_p = momentum_of(mass_p, gather(velocity, p, axes), gather(affine, p, axes), inertia)
-    force_p = force_of(volume_p, gather(stress, p, axes), gather(force, p, axes), used, m, q, phi_bar)
-    like = no_sums(x)
-    for k in range(n):
-        at = FIRST + k * ENTRY
-        d, w, r = load(t, at + D, used), load(t, at + W, used), load(t, at + R, x)
-        phi_k = take_optional(s, k * ROW + PHI, axes, phi)
-        to = k * len(like)
-        store(sums, to, add_vertex(load(sums, to, like), d, w, r, phi_k, momentum_p, force_p))
-
-
-@njit(**options)
-def clear_sums(axes, sums, n, x):
-    """Zero the sums of the first n ring vertices."""
+    force_p = force_of(volume_p, gather(stress, p, axes), gather(force, p, axes), used, m, q, phi_bar, a0, b)
+    first, n, _ = ring
     nothing = no_sums(x)
     for k in range(n):
-        store(sums, k * len(nothing), nothing)
-
-
-@njit(**options)
-def scatter_sums(axes, sums, n, first, rings, x, grid):
-    """Add the sums of a cell to its ring vertices."""
-    like = no_sums(x)
-    for k in range(n):
-        vertex = entry(rings.vertex, first + k)
-        add_totals(grid, vertex * len(like), load(sums, k * len(like), like))
+        v = entry(rings.vertex, first + k)
+        at, to = FIRST + k * ENTRY, k * len(nothing)
+        d, w, r = load(t, at + D, used), load(t, at + W, used), load(t, at + R, x)
+        phi_k = take(phi, v * len(axes), axes)
+        before = nothing
+        if not fresh:
+            before = load(sums, to, nothing)
+        added = add_vertex(before, d, w, r, phi_k, momentum_p, force_p)
+        if last:
+            add_totals(grid, v * len(nothing), added)
+        else:
+            store(sums, to, added)
 
 
 @njit(**options)
@@ -184,18 +158,14 @@ def particle_to_grid(
     volume, stress : initial volume V0 and Kirchhoff stress, so that V0 tau = V sigma
     grid : (nv, 1 + 2 d) mass, momentum and force, added to
     """
-    s, t, sums = scratch(RING_SIZE), scratch(PARTICLE_SIZE), scratch(SUMS_SIZE)
+    t, sums = scratch(TABLE_SIZE), scratch(SUMS_SIZE)
     fields = borrow((position, velocity, affine, mass, volume, stress, force))
     rings, phi, grid = borrow((rings, phi, grid))
-    x = zeros(axes)
     for i in range(first, last):
-        cell, end = active[i], start[i + 1]
-        n, frame = gather_ring(axes, s, cell, rings, phi)
-        clear_sums(axes, sums, n, x)
+        ring, end = ring_of(axes, active[i], rings), start[i + 1]
         for j in range(start[i], end, WIDTH):
             p, used = batch(order, j, end), occupied(end - j)
-            add_batch(axes, s, t, sums, n, frame, cell, p, used, fields, rings, phi)
-        scatter_sums(axes, sums, n, entry(rings.start, cell), rings, x, grid)
+            add_batch(axes, t, sums, ring, p, used, fields, rings, phi, grid, j == start[i], j + WIDTH >= end)
 
 
 @formula
@@ -260,37 +230,29 @@ def deformed(f_row, dt, gradient, f):
 
 
 @njit(**options)
-def update_batch(axes, s, t, n, frame, cell, p, fields, rings, phi, increment, flip, dt):
+def update_batch(axes, t, ring, p, fields, rings, phi, on_grid, flip, dt):
     """Update four particles of a cell."""
     position, velocity, affine, deformation_gradient = fields
+    grid_velocity, increment = on_grid
     x = gather(position, p, axes)
-    m, q, phi_bar, _ = weights(axes, s, t, n, x, frame, cell, rings, phi, None)
+    m, q, phi_bar, _, _, _ = weights(axes, t, ring, x, rings, phi, None)
     f = gather(deformation_gradient, p, axes)
+    first, n, _ = ring
     for a in range(len(axes)):
         sums = no_velocity(x, affine, phi, increment)
         for k in range(n):
-            at, from_ring = FIRST + k * ENTRY, k * ROW
+            v = entry(rings.vertex, first + k) * len(axes)
+            at = FIRST + k * ENTRY
             d, w, r = load(t, at + D, x[0]), load(t, at + W, x[0]), load(t, at + R, x)
-            u = entry(s, from_ring + U + a)
-            phi_k = take_optional(s, from_ring + PHI, axes, phi)
-            du = entry_optional(s, from_ring + DU + a, increment)
-            sums = add_velocity(sums, d, w, r, u, phi_k, du)
-        v, row, ur, dv = close_velocity(sums, m, q, phi_bar)
-        scatter_row(velocity, p, a, new_velocity(gather_row(velocity, p, a, axes), v, dv, flip), axes)
-        scatter_row(position, p, a, moved(gather_row(position, p, a, axes), dt, v), axes)
+            phi_k = take(phi, v, axes)
+            du = entry(increment, v + a)
+            sums = add_velocity(sums, d, w, r, entry(grid_velocity, v + a), phi_k, du)
+        v_a, row, ur, dv = close_velocity(sums, m, q, phi_bar)
+        scatter_row(velocity, p, a, new_velocity(gather_row(velocity, p, a, axes), v_a, dv, flip), axes)
+        scatter_row(position, p, a, moved(gather_row(position, p, a, axes), dt, v_a), axes)
         f_row = gather_row(deformation_gradient, p, a, axes)
         scatter_row(deformation_gradient, p, a, deformed(f_row, dt, row, f), axes)
         scatter_row(affine, p, a, ur, axes)
-
-
-@njit(**options)
-def gather_velocity(axes, s, n, first, rings, velocity, increment):
-    """Copy velocities, and their increments, of a ring into its scratch table."""
-    for k in range(n):
-        vertex = entry(rings.vertex, first + k)
-        store(s, k * ROW + U, take(velocity, vertex * len(axes), axes))
-        if increment is not None:
-            store(s, k * ROW + DU, take(increment, vertex * len(axes), axes))
 
 
 @njit(**options)
@@ -318,16 +280,13 @@ def grid_to_particle(
     v = flip (v + sum w dv) + (1 - flip) sum w v, where `grid_increment` dv is None for PIC and APIC
     (flip = 0); with APIC, B = sum w v (x) r (eq. 2.36).
     """
-    s, t = scratch(RING_SIZE), scratch(PARTICLE_SIZE)
+    t = scratch(TABLE_SIZE)
     fields = borrow((position, velocity, affine, deformation_gradient))
     rings, phi, on_grid = borrow((rings, phi, (grid_velocity, grid_increment)))
     for i in range(first, last):
-        cell, end = active[i], start[i + 1]
-        n, frame = gather_ring(axes, s, cell, rings, phi)
-        gather_velocity(axes, s, n, entry(rings.start, cell), rings, *on_grid)
+        ring, end = ring_of(axes, active[i], rings), start[i + 1]
         for j in range(start[i], end, WIDTH):
-            p = batch(order, j, end)
-            update_batch(axes, s, t, n, frame, cell, p, fields, rings, phi, on_grid[1], flip, dt)
+            update_batch(axes, t, ring, batch(order, j, end), fields, rings, phi, on_grid, flip, dt)
 
 
 @formula
@@ -359,24 +318,24 @@ def scatter_average(axes, first, last, active, start, order, position, weight, v
     grid : (nv, 2 or more) added to
     """
     columns = grid.shape[1]
-    s, t, sums = scratch(RING_SIZE), scratch(PARTICLE_SIZE), scratch(SUMS_SIZE)
+    t, sums = scratch(TABLE_SIZE), scratch(SUMS_SIZE)
     position, weight, value, rings, grid = borrow((position, weight, value, rings, grid))
     nothing = zeros((0, 1))
     for i in range(first, last):
-        cell, end = active[i], start[i + 1]
-        n, frame = gather_ring(axes, s, cell, rings, None)
+        ring, end = ring_of(axes, active[i], rings), start[i + 1]
+        first, n, _ = ring
         for k in range(n):
             store(sums, 2 * k, nothing)
         for j in range(start[i], end, WIDTH):
             p = batch(order, j, end)
-            weights(axes, s, t, n, gather(position, p, axes), frame, cell, rings, None, None)
+            weights(axes, t, ring, gather(position, p, axes), rings, None, None)
             weight_p = times(gather(weight, p, axes), occupied(end - j))
             value_p = gather(value, p, axes)
             for k in range(n):
                 w = load(t, FIRST + k * ENTRY + W, weight_p)
                 store(sums, 2 * k, add_average(load(sums, 2 * k, nothing), w, weight_p, value_p))
         for k in range(n):
-            vertex = entry(rings.vertex, entry(rings.start, cell) + k)
+            vertex = entry(rings.vertex, first + k)
             add_totals(grid, vertex * columns, load(sums, 2 * k, nothing))
 
 
@@ -390,19 +349,17 @@ def gather_average(axes, first, last, active, start, order, position, weight, fi
     weight, out : (n,) numbers per particle
     field : (nv,) numbers per vertex
     """
-    s, t = scratch(RING_SIZE), scratch(PARTICLE_SIZE)
+    t = scratch(TABLE_SIZE)
     position, weight, field, rings, out = borrow((position, weight, field, rings, out))
     for i in range(first, last):
-        cell, end = active[i], start[i + 1]
-        n, frame = gather_ring(axes, s, cell, rings, None)
-        base = entry(rings.start, cell)
+        ring, end = ring_of(axes, active[i], rings), start[i + 1]
+        first, n, _ = ring
         for j in range(start[i], end, WIDTH):
             p = batch(order, j, end)
-            x = gather(position, p, axes)
-            weights(axes, s, t, n, x, frame, cell, rings, None, None)
+            weights(axes, t, ring, gather(position, p, axes), rings, None, None)
             average = zeros((0,))[0]
             for k in range(n):
                 w = load(t, FIRST + k * ENTRY + W, average)
-                average = add_product(average, w, entry(field, entry(rings.vertex, base + k)))
+                average = add_product(average, w, entry(field, entry(rings.vertex, first + k)))
             old, weight_p = gather(out, p, axes), gather(weight, p, axes)
             scatter(out, p, chosen(weight_p, average, old), axes)

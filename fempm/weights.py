@@ -1,9 +1,8 @@
 """Weights and gradients of the UMLS kernel at particles, in one formulation for 1D, 2D and 3D.
 
-A cell's ring (coordinates, inverse supports, phi) is gathered once into a small scratch table `s`, one
-row per ring vertex. Every particle, or four of them at a time (see `lanes`), then runs along it; what
-belongs to particle and vertex, D, w and r, goes to a second table `t`. The dimension is the length of the
-tuple `axes`, which compilers know.
+One particle, or four of them at a time (see `lanes`), runs along the ring of its cell; what belongs to
+particle and ring vertex, D, w and r, goes to a small table `t`. The dimension is the length of the tuple
+`axes`, which compilers know.
 
 The kernel of a particle at x with offsets r_k = x_k - x and D_k = eta_k d_k is, in closed form,
 
@@ -21,27 +20,13 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from .lanes import (
-    FAST,
-    WIDTH,
-    dot,
-    entry,
-    formula,
-    load,
-    positive,
-    sqrt,
-    store,
-    take,
-    take_matrix,
-    zero,
-)
+from .lane_memory import entry, load, store, take, take_matrix
+from .lanes import FAST, WIDTH, dot, formula, positive, sqrt, zero
 
 MAX_RING = 176
-# a row of the ring table: position, inverse support, phi, velocity and its increment
-X, IH, PHI, U, DU, ROW = 0, 3, 4, 7, 10, 13
-# the particle table: eta for every adjacency mask, then from FIRST on, for every ring vertex, D, w and r
+# the table: eta for every adjacency mask, then from FIRST on, for every ring vertex, D, w and r
 D, W, R, ENTRY, FIRST = 0, 1, 2, 5, 16
-RING_SIZE, PARTICLE_SIZE = MAX_RING * ROW, (FIRST + MAX_RING * ENTRY) * WIDTH
+TABLE_SIZE = (FIRST + MAX_RING * ENTRY) * WIDTH
 
 options = {"fastmath": set(FAST), "error_model": "numpy", "nogil": True, "cache": True}
 
@@ -49,7 +34,7 @@ options = {"fastmath": set(FAST), "error_model": "numpy", "nogil": True, "cache"
 class Rings(NamedTuple):
     """What compiled code reads of a mesh; the fields are those of `kernel.Kernel`.
 
-    The functions below take it borrowed (see `lanes.borrow`), and phi too.
+    The functions below take it borrowed (see `lane_memory.borrow`), and phi too.
     """
 
     cells: np.ndarray
@@ -66,18 +51,11 @@ def optional(array):
     return array if len(array) else None
 
 
-@njit(**options)
-def gather_ring(axes, s, cell, rings, phi):
-    """Copy the ring of `cell` into the scratch table; return its length and the cell's corner and inverse."""
-    first = entry(rings.start, cell)
-    n = entry(rings.start, cell + 1) - first
-    for k in range(n):
-        v = entry(rings.vertex, first + k)
-        store(s, k * ROW + X, take(rings.points, v * len(axes), axes))
-        store(s, k * ROW + IH, entry(rings.inverse_support, v))
-        if phi is not None:
-            store(s, k * ROW + PHI, take(phi, v * len(axes), axes))
-    return n, cell_frame(axes, cell, rings.cells, rings.points, rings.inverse)
+@njit(forceinline=True, **options)
+def ring_of(axes, cell, rings):
+    """Range of the ring of a cell in `rings.vertex`, and the cell's corner and inverse."""
+    first, end = entry(rings.start, cell), entry(rings.start, cell + 1)
+    return first, end - first, cell_frame(axes, cell, rings.cells, rings.points, rings.inverse)
 
 
 @njit(**options)
@@ -138,7 +116,7 @@ def add_moments(sums, q, r, eta):
     """D of a ring vertex; the sums of D, D r and D r (x) r with its terms added."""
     m0, m, c = sums
     outer, inner = positive(1.5 - q), positive(0.5 - q)
-    d = eta * (0.5 * outer * outer - 1.5 * inner * inner)  # quadratic B-spline
+    d = eta * (outer * outer - 3.0 * inner * inner)  # twice the B-spline: its scale cancels
     dr = [d * r_a for r_a in r]
     m = tuple(s + t for s, t in zip(m, dr))
     return d, (m0 + d, m, add_outer(c, dr, r))
@@ -222,18 +200,20 @@ def consistent(k, sums):
     return tuple(tuple(dot(row, column) for column in k) for row in t), mean
 
 
-@njit(**options)
-def weights(axes, s, t, n, x, frame, cell, rings, phi, affine):
-    """Fill the table `t` for particles at x in `cell`, whose ring is in `s`.
+@njit(forceinline=True, **options)
+def weights(axes, t, ring, x, rings, phi, affine):
+    """Fill the table `t` for particles at x in the cell with the given `ring_of`.
 
-    Returns the mean offset m, the matrix Q and phi_bar (None for plain gradients) of the module's formulas,
-    and sum w r (x) r unless `affine` is None. Several short loops, as processors look ahead only so far
-    and have few registers.
+    Returns the mean offset m, the matrix Q, phi_bar (None for plain gradients) of the module's formulas, a0
+    and b of w = D (a0 - b . r), and sum w r (x) r unless `affine` is None. Several short loops, as
+    processors look ahead only so far and have few registers.
     """
-    first = entry(rings.start, cell)
+    first, n, frame = ring
+    dim = len(axes)
     store(t, 0, etas(barycentric_coordinates(x, frame)))
     for k in range(n):
-        r, q = distance(x, take(s, k * ROW + X, axes), entry(s, k * ROW + IH))
+        v = entry(rings.vertex, first + k)
+        r, q = distance(x, take(rings.points, v * dim, axes), entry(rings.inverse_support, v))
         store(t, FIRST + k * ENTRY + D, q)
         store(t, FIRST + k * ENTRY + R, r)
     sums = no_moments(x)
@@ -253,9 +233,9 @@ def weights(axes, s, t, n, x, frame, cell, rings, phi, affine):
         for k in range(n):
             at = FIRST + k * ENTRY
             w, r = load(t, at + W, a0), load(t, at + R, x)
-            phi_sums = add_phi(phi_sums, w, r, take(s, k * ROW + PHI, axes))
+            phi_sums = add_phi(phi_sums, w, r, take(phi, entry(rings.vertex, first + k) * dim, axes))
     q, phi_bar = consistent(k_inverse, phi_sums)
-    return m, q, phi_bar, inertia
+    return m, q, phi_bar, a0, b, inertia
 
 
 @formula
