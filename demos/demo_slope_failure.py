@@ -10,7 +10,7 @@ import numpy as np
 
 import fempm
 from fempm.cli import print_files, run_options, scene_arguments
-from fempm.picture import snapshot, snapshot_strip
+from fempm.picture import curves, snapshot, snapshot_strip
 
 MESHES = Path(__file__).parent.parent / "meshes"
 
@@ -23,7 +23,7 @@ def main(argv=None):
         "locking": (False, "leave F-bar out"),
         "full": (False, "as in the thesis: h = 0.2 m, 311,250 particles, more than a day"),
     }
-    args = scene_arguments(__doc__, argv, until=2.5, **options)
+    args = scene_arguments(__doc__, argv, until=3.0, **options)
     h, width = (0.2, 5.0) if args.full else (args.h, args.width)
     mesh = fempm.read_mesh(MESHES / "slope.geo", h=h, B=width)
     x, volume = fempm.fill_box([0, 0, 0], [15, width, 5], h / 2)
@@ -33,23 +33,23 @@ def main(argv=None):
     slope = fempm.Body(x[inside], volume[inside], clay, name="slope", f_bar=not args.locking)
     walls = [fempm.Wall("bottom", "sticky"), fempm.Wall("back", "slip"), fempm.Wall("sides", "slip")]
     scene = fempm.Simulation(mesh, [slope], walls, [0, 0, -9.81], transfer="flip", threads=args.threads)
-    first = x[inside, 0].max()
     record = fempm.run(
-        scene, **run_options(args), watch=lambda s: {"run_out": s.gather("position")[:, 0].max() - first}
+        scene, **run_options(args), watch=lambda s: {"front": s.gather("position")[:, 0].max()}
     )
-    time, run_out = record.log["time"], record.log["run_out"]
+    time, run_out = record.log["time"], record.log["front"] - record.log["front"][0]
     with h5py.File(record.files[0].with_suffix(".h5"), "r") as file:
         strains = [file[f"{k}/Node/plastic_strain"][:].ravel() for k in range(len(record.frames))]
-    side = [(t, x[:, ::2], np.minimum(e, 1)) for (t, x, _), e in zip(record.frames, strains, strict=True)]
-    label = "plastic strain, 1 or more"
+    near = x[inside, 1] < h / 2  # the particles along one side
+    frames = [(t, x, np.minimum(e, 1)) for (t, x, _), e in zip(record.frames, strains, strict=True)]
+    side = [(t, x[near][:, ::2], e[near]) for t, x, e in frames[2::6]]
     pictures = [
-        snapshot(f"{args.output}.png", record.frames[-1][1], side[-1][2], label=label),
-        snapshot_strip(f"{args.output}_side.png", side[len(side) // 3 :: len(side) // 3], label=label),
-        snapshot(f"{args.output}_run_out.png", time[:, None], run_out, label="run-out (m), over time (s)"),
+        snapshot(f"{args.output}.png", *frames[-1][1:], label="plastic strain"),
+        snapshot_strip(f"{args.output}_side.png", side, label="plastic strain"),
+        curves(f"{args.output}_run_out.png", time, {"": run_out}, "time in s", "run-out in m"),
     ]
-    print("run-out, of the foremost particle beyond the place of the foremost one at the start:")
-    for t in np.linspace(0.2, 1, 5) * scene.time:
-        print(f"  {t:.2f} s: {np.interp(t, time, run_out):7.3f} m")
+    clock = scene.time * np.arange(1, 6) / 5
+    print("time (s) and run-out (m), of the foremost particle beyond that at the start:")
+    print(np.round(np.stack([clock, np.interp(clock, time, run_out)], axis=1), 3))
     print(f"{np.mean(strains[-1] > 0.2):.1%} of the slope has strained plastically by more than 0.2")
     print_files([*record.files, *pictures])
     return {"run_out": run_out, "strain": strains[-1], "record": record}

@@ -1,4 +1,4 @@
-"""A compressed elastic body is released in a sphere, hits its wall, rebounds and rubs (thesis 2.3.5)."""
+"""A compressed elastic body is released in a sphere, hits its wall with friction (thesis 2.3.5)."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ def main(argv=None):
     args = scene_arguments(
         __doc__,
         argv,
-        until=0.01,
+        until=0.008,
         h=(0.08, "mesh size of the sphere in m"),
         body_h=(0.045, "mesh size of the body in m, 8 particles in each of its cells"),
         full=(False, "as fine as in the thesis, h = 0.025 m and 2.4 million particles: hours, 2 GB"),
@@ -41,7 +41,7 @@ def main(argv=None):
     print(f"largest radius {reach:.4f} m of 0.5 m; particles put back on the wall: {hits}")
     print("energy, in shares of its start: at the end and at most (FLIP damps short waves, see README)")
     for name, share in energy.items():
-        print(f"  {name:8} {share[-1]:6.3f} {share.max():6.3f}")
+        print(f"  {name:8} {share[-1]:7.4f} {share.max():7.4f}")
     print_files([*record.files, picture])
     return {"energy": energy["total"], "centre": centre, "reach": reach, "hits": hits, "record": record}
 

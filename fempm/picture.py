@@ -105,6 +105,37 @@ def convergence_plot(path, sizes, errors, ylabel, reference_orders=(1, 2)):
     return _save(figure, path)
 
 
+def curves(path, x, values, xlabel, ylabel):
+    """Write a PNG picture of curves over one axis, such as columns of a log over time.
+
+    Parameters
+    ----------
+    path : path
+        Missing folders are made.
+    x : (m,) array
+    values : dict of name to (m,) array
+        A legend is drawn where there is more than one.
+    xlabel, ylabel : str
+        Texts at the axes, with units.
+
+    Raises
+    ------
+    ImportError
+        If matplotlib is missing.
+    """
+    if Ranks().rank > 0:
+        return path
+    figure = _figure(5.2, 3.4)
+    ax = figure.subplots()
+    for name, y in values.items():
+        ax.plot(x, y, lw=1.5, label=name)
+    ax.grid(True, color="0.93", lw=0.6)
+    ax.set(xlabel=xlabel, ylabel=ylabel)
+    if len(values) > 1:
+        ax.legend(frameon=False)
+    return _save(figure, path)
+
+
 def _figure(width, height):
     try:
         import matplotlib.backends.backend_agg
