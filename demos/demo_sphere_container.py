@@ -24,7 +24,7 @@ def main(argv=None):
     )
     h, body_h = (0.025, 0.0075) if args.full else (args.h, args.body_h)
     mesh = fempm.read_mesh(MESHES / "sphere.geo", h=h)
-    shape = fempm.read_mesh(MESHES / "metatron.geo", h=body_h, R=0.33)
+    shape = fempm.read_mesh(MESHES / "metatron.geo", h=body_h, R=0.42)
     rubber = fempm.NeoHookean(density=1000.0, young=3.3e6, poisson=0.49)
     body = fempm.Body(*fempm.fill_cells(shape, 8), rubber, deformation_gradient=0.75 * np.eye(3))
     wall = fempm.Wall("wall", args.wall, friction=0.5 if args.wall == "contact" else 0.0)

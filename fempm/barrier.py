@@ -4,6 +4,8 @@ import numpy as np
 from numba import njit
 
 LEAST = 0.05  # of d_hat: at smaller distances force and stiffness grow no more
+GUARD = 0.1  # of d_hat: nearer than that, particles are held back through the vertices too, see `contact`
+FLOOR = 0.02  # of d_hat: nearest to a surface that they may come
 WATCH = 2.0  # of d_hat: particles nearer than that limit the time step
 STIFFNESS = 4.0  # kappa d_hat / A over the modulus of the body
 STICK = 0.5  # of kappa: stiffness 2 mu f_n / eps of friction that holds, which sets eps
@@ -168,6 +170,7 @@ def contact_forces(
     stops,
     modulus,
     velocity,
+    motion,
     mass,
     volume,
     slip,
@@ -178,7 +181,8 @@ def contact_forces(
 
     The rate is the largest of sqrt((B'' + friction's stiffness) / m), B'' now and after the step, and
     2 v_n / d: the time step is below half of the stability limit of the springs, and nobody comes nearer
-    by more than half its distance.
+    by more than half its distance, or half of GUARD d_hat. v_n is the velocity of the particle or of its
+    last step, which differ under FLIP.
     """
     d = normal.shape[1]
     force[:] = 0.0
@@ -189,11 +193,14 @@ def contact_forces(
         while stops[body] <= p:
             body += 1
         gap = max(distance[i], LEAST * reach[s])
-        approach = 0.0
+        approach, moved = 0.0, 0.0
         for a in range(d):
             approach -= velocity[p, a] * normal[i, a]
+            moved -= motion[p, a] * normal[i, a]
         kappa = modulus[body] * volume[p] ** (1.0 - 1.0 / d) / reach[s]
-        rate = max(rate, approach_rate(approach, gap, reach[s], kappa / mass[p]))
+        rate = max(
+            rate, approach_rate(max(approach, moved), max(gap, GUARD * reach[s]), reach[s], kappa / mass[p])
+        )
         slip_limit[i] = 0.0
         if gap >= reach[s]:
             continue
@@ -217,6 +224,15 @@ def contact_forces(
                     force[p, a] -= friction[s] * f * share * (slip[p, a] - along * normal[i, a])
         rate = max(rate, np.sqrt(spring / mass[p]))
     return rate
+
+
+@njit(**compiled)
+def motions(num, particle, start, position, dt, motion):
+    """Velocities at which particles near a surface have moved."""
+    for i in range(num):
+        p = particle[i]
+        for a in range(position.shape[1]):
+            motion[p, a] = (position[p, a] - start[i, a]) / dt
 
 
 @njit(**compiled)

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .barrier import LEAST, STIFFNESS, WATCH, contact_forces, slips, wall_contacts
+from .barrier import FLOOR, GUARD, LEAST, STIFFNESS, WATCH, contact_forces, motions, slips, wall_contacts
+from .kernel import evaluate_many
 from .locate import cell_bins
 from .mesh import mean_edge_length
 from .walls import facet_normals, smooth_patches
@@ -118,6 +119,7 @@ class Contact:
         d = len(self.axes)
         if self:
             particles.add_state("contact_force", (d,))
+            particles.add_state("contact_motion", (d,))
         if np.any(self.friction):
             particles.add_state("slip", (d,))
             particles.add_state("friction_work", ())
@@ -143,7 +145,15 @@ class Contact:
         self.rate = contact_forces(
             self.num,
             *(self.particle, self.surface, self.distance, self.normal, self.reach, self.friction),
-            *(stops, self.modulus, p.velocity, p.mass, p.volume, p.state.get("slip")),
+            *(
+                stops,
+                self.modulus,
+                p.velocity,
+                p.state["contact_motion"],
+                p.mass,
+                p.volume,
+                p.state.get("slip"),
+            ),
             self.slip_limit,
             p.state["contact_force"],
         )
@@ -171,6 +181,11 @@ class Contact:
         self.start[rows] = p.position[candidates]
         self.normal[rows] = obstacle.normal_at(p.position[candidates], 1e-4 * self.reach[surface])
 
+    @property
+    def nearby(self):
+        """(num,) distance at which each contact begins to act."""
+        return self.reach[self.surface[: self.num]]
+
     def check(self, particles):
         """Raise ValueError for particles that start inside an obstacle."""
         for obstacle in self.obstacles:
@@ -181,15 +196,48 @@ class Contact:
                     f"{particles.position[inside[0]]}: move the body away from it"
                 )
 
-    def slide(self, particles):
-        """Let the slips follow the particles, which have moved since the contacts were found."""
-        state = particles.state
+    def slide(self, particles, dt):
+        """Let the slips follow the particles, which have moved in a step dt since the contacts were found."""
+        state, near = particles.state, (self.num, self.particle)
+        if self:
+            motions(*near, self.start, particles.position, dt, state["contact_motion"])
         if "slip" in state:
             slips(
-                self.num,
-                *(self.particle, self.normal, self.start, self.slip_limit),
+                *near,
+                *(self.normal, self.start, self.slip_limit),
                 *(particles.position, state["contact_force"], state["slip"], state["friction_work"]),
             )
+
+    def hold_back(self, particles, kernel, velocity, dt):
+        """Change of the vertices' velocities that keeps particles FLOOR d_hat away from the surfaces.
+
+        The barrier's energy grows with ln d only: the vertices around a few particles at a tip can have
+        more. A particle may come nearer by half of what is left; where vertices would move it further,
+        they lose the velocity lambda that is too much, lambda^2 w / lambda w where several particles ask
+        for it. This takes energy, like a plastic impact.
+
+        Returns
+        -------
+        (nv, 1 + d) sums over the particles of w lambda and w lambda^2 n, or None where there is nothing to do
+        """
+        n = self.num
+        close = np.flatnonzero(self.distance[:n] < GUARD * self.reach[self.surface[:n]])
+        if not len(close):
+            return None
+        index, sums = self.particle[close], None
+        cells = particles.cell[index]
+        weights, _ = evaluate_many(kernel, particles.position[index], cells)
+        for contact, c, w in zip(close, cells, weights, strict=True):
+            ring = kernel.ring_vertex[kernel.ring_start[c] : kernel.ring_start[c + 1]]
+            w, normal = w[: len(ring)], self.normal[contact]
+            left = self.distance[contact] - FLOOR * self.reach[self.surface[contact]]
+            excess = -(w @ velocity[ring]) @ normal - (0.5 if left > 0 else 0.05) * left / dt
+            if excess > 0:
+                sums = np.zeros((len(velocity), 1 + len(normal))) if sums is None else sums
+                share = np.maximum(w, 0.0) * excess
+                sums[ring, 0] += share
+                sums[ring, 1:] += np.outer(share * excess, normal)
+        return sums
 
     def energy(self, particles):
         """Energy of the barriers, sum of B over the contacts (J)."""

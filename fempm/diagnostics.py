@@ -106,5 +106,18 @@ def report(simulation):
             f"vertices left out for lack of mass: {ranks.sum(s.dropped_vertices)} in {s.steps} "
             f"steps, momentum lost there: {ranks.sum(s.lost_momentum):.2e}",
             f"particles put back on a wall: {ranks.sum(s.wall_hits)}",
+            *([contact_line(s)] if s.contact else []),
         ]
+    )
+
+
+def contact_line(simulation):
+    """How many particles are within reach of a surface, and the energy of the barrier there. Collective."""
+    s = simulation
+    touching = s.ranks.sum(int(np.sum(s.contact.distance[: s.contact.num] < s.contact.nearby)))
+    energy = energies(s)
+    share = energy["barrier"] / max(sum(abs(e) for e in energy.values()), 1e-300)
+    return (
+        f"contacts within reach: {touching}, their barrier holds {100 * share:.2g} % of all energy; steps in "
+        f"which vertices were held back: {s.held_back}"
     )

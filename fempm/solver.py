@@ -118,7 +118,7 @@ class Simulation:
         self.threads, self.imbalance = threads, imbalance
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self.time, self.steps, self.dt = 0.0, 0, 0.0
-        self.dropped_vertices, self.lost_momentum, self.wall_hits = 0, 0.0, 0
+        self.dropped_vertices, self.lost_momentum, self.wall_hits, self.held_back = 0, 0.0, 0, 0
         self._allocate()
         self.num_particles = len(self.particles)
         self.distribute(np.bincount(self.particles.cell, minlength=len(mesh.cells)))
@@ -175,7 +175,7 @@ class Simulation:
         self.particle_to_grid()
         self.update_grid(dt)
         self.grid_to_particle(dt)
-        self.contact.slide(self.particles)
+        self.contact.slide(self.particles, dt)
         self.time += dt
         self.steps += 1
         lost = self.locate_particles()
@@ -240,7 +240,7 @@ class Simulation:
 
     def update_grid(self, dt):
         """Fold mirrors, update velocities, apply walls, fill mirrors."""
-        layer, unknowns = self.layer, len(self.mesh.points) + self.layer.num_free
+        unknowns = len(self.mesh.points) + self.layer.num_free
         drift, change = self.wall_motion(dt)
         self.fold(drift[0])
         self.borders.add_shared(self.grids[0], self.stamp, self.steps)
@@ -257,15 +257,40 @@ class Simulation:
         )
         self.dropped_vertices += dropped
         self.lost_momentum += lost
-        active = (self.stamp, self.steps)
+        self.apply_walls(drift, change)
+        if self.condition is not None:
+            self.impose(unknowns)
+            self.fill_mirrors(drift, change)
+        if self.contact:
+            self.hold_back(dt, drift, change)
+
+    def apply_walls(self, drift, change):
+        """Velocities of wall vertices and mirrors."""
+        layer, active = self.layer, (self.stamp, self.steps)
         grid.constrain(
             *active, layer.vertices, layer.project, drift[1], change[1], self.velocity, self.increment
         )
-        if self.condition is not None:
-            self.impose(unknowns)
-        grid.fill_mirrors(
-            *active, unknowns, layer.source, layer.fold, drift[0], change[0], self.velocity, self.increment
-        )
+        self.fill_mirrors(drift, change)
+
+    def fill_mirrors(self, drift, change):
+        """Velocities of mirrors."""
+        layer, unknowns = self.layer, len(self.mesh.points) + self.layer.num_free
+        mirrors = (unknowns, layer.source, layer.fold, drift[0], change[0])
+        grid.fill_mirrors(self.stamp, self.steps, *mirrors, self.velocity, self.increment)
+
+    def hold_back(self, dt, drift, change):
+        """Keep particles that the barrier cannot stop from passing a surface, see `Contact.hold_back`."""
+        sums = self.contact.hold_back(self.particles, self.kernel, self.velocity, dt)
+        if not self.ranks.max(int(sums is not None)):
+            return
+        self.held_back += 1
+        sums = np.zeros((len(self.velocity), 1 + self.mesh.dim)) if sums is None else sums
+        self.borders.add_shared(sums, self.stamp, self.steps)
+        push = sums[:, 1:] / np.where(sums[:, :1] > 0, sums[:, :1], 1.0)
+        self.velocity += push
+        if len(self.increment):
+            self.increment += push
+        self.apply_walls(drift, change)
 
     def impose(self, unknowns):
         """Velocities by the function `condition`, which FLIP sees as a change of velocity."""

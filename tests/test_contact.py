@@ -8,7 +8,7 @@ from mesh_factory import MESHES, cube, rectangle
 
 import fempm
 from fempm import Body, LostParticles, NeoHookean, Obstacle, Simulation, SimulationError, Wall
-from fempm.barrier import LEAST, closest_weights
+from fempm.barrier import FLOOR, GUARD, LEAST, closest_weights
 from fempm.diagnostics import energies, linear_momentum
 
 RUBBER = NeoHookean(1000.0, 1e6, 0.3)
@@ -309,7 +309,30 @@ def test_without_contact_walls():
     assert s.contact.num == 0 and s.contact.rate == 0 and len(s.contact.particle) == 0
     assert s.particles.state == {} and set(energies(s)) == {"kinetic", "elastic", "gravity"}
     frictionless = Simulation(rectangle(6, 6), s.bodies, [Wall("boundary", "contact")])
-    assert set(frictionless.particles.state) == {"contact_force"}
+    assert set(frictionless.particles.state) == {"contact_force", "contact_motion"}
+
+
+@pytest.mark.parametrize("transfer", ["apic", "flip"])
+def test_tip_at_wave_speed(transfer):
+    """A soft tip on a heavy hammer: the vertices around the tip outweigh what its barrier can take.
+
+    Nobody comes nearer than FLOOR of the reach (0.9 of it for the mean over several particles), as
+    motion is held back through the vertices.
+    """
+    mesh = rectangle(10, 10)
+    steel, speed = NeoHookean(1e5, 1e8, 0.3), [30.0, 0.0]
+    hammer = Body(*fempm.fill_box((0.3, 0.4), (0.8, 0.6), 0.02), steel, speed)
+    tip = Body(*fempm.fill_box((0.8, 0.48), (0.9, 0.52), 0.02), RUBBER, speed)
+    s = Simulation(mesh, [hammer, tip], [Wall("boundary", "contact", friction=0.5)], transfer=transfer)
+    nearest, mass = np.inf, s.particles.mass.sum()
+    before = sum(energies(s).values())
+    for _ in range(400):
+        s.step(s.stable_step())
+        if s.contact.num:
+            nearest = min(nearest, (s.contact.distance / s.contact.reach[0])[: s.contact.num].min())
+    assert s.wall_hits == 0 and s.held_back > 0
+    assert 0.9 * FLOOR < nearest < GUARD
+    assert s.particles.mass.sum() == mass and sum(energies(s).values()) <= before
 
 
 def test_errors():

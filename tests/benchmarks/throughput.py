@@ -29,7 +29,7 @@ def box(dim, h):
     return fempm.read_mesh(MESHES / ("square.geo" if dim == 2 else "cube.geo"), h=h)
 
 
-def full_box(mesh, transfer, gradient="plain", order="cells"):
+def full_box(mesh, transfer, gradient="plain", order="cells", threads=1):
     """Simulation of a box between slip walls, full of a solid in motion.
 
     Parameters
@@ -47,7 +47,7 @@ def full_box(mesh, transfer, gradient="plain", order="cells"):
     speed = 0.1 * solid.wave_speed()
     body = fempm.Body(position, volume, solid, lambda x: speed * np.sin(np.pi * x))
     walls = [fempm.Wall("boundary", "slip")]
-    return fempm.Simulation(mesh, [body], walls, transfer=transfer, gradient=gradient)
+    return fempm.Simulation(mesh, [body], walls, transfer=transfer, gradient=gradient, threads=threads)
 
 
 def watch_stages(simulation):
