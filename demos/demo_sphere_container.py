@@ -28,7 +28,9 @@ def main(argv=None):
     rubber = fempm.NeoHookean(density=1000.0, young=3.3e6, poisson=0.49)
     body = fempm.Body(*fempm.fill_cells(shape, 8), rubber, deformation_gradient=0.75 * np.eye(3))
     wall = fempm.Wall("wall", args.wall, friction=0.5 if args.wall == "contact" else 0.0)
-    scene = fempm.Simulation(mesh, [body], [wall], transfer="flip", cfl=args.cfl, threads=args.threads)
+    scene = fempm.Simulation(
+        mesh, [body], [wall], transfer="flip", flip=0.99, cfl=args.cfl, threads=args.threads
+    )
     print(scene.report())
     record = fempm.run(scene, **run_options(args))
     moments = [(t, x, np.linalg.norm(v, axis=1)) for t, x, v in record.frames[:: len(record.frames) // 4]]
