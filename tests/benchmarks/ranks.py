@@ -1,7 +1,7 @@
 """Wall time of a step on several ranks or threads, in 3D: run by mpirun, or with a number of threads.
 
-    ./run mpirun 2 tests/benchmarks/ranks.py
-    ./run python tests/benchmarks/ranks.py --threads 2
+./run mpirun 2 tests/benchmarks/ranks.py
+./run python tests/benchmarks/ranks.py --threads 2
 """
 
 import argparse
