@@ -15,7 +15,8 @@ smooth rest, which is of second order anyway. Hence the cap on iterations.
 import numpy as np
 from numba import njit
 
-from .lane_memory import borrow, entry, load, scratch, store, take
+from .lane_memory import add_totals, borrow, entry, load, scratch, store, take, take_matrix, zeros
+from .lanes import WIDTH, dot, formula
 from .simplex import quadrature
 from .weights import (
     ENTRY,
@@ -25,10 +26,12 @@ from .weights import (
     D,
     R,
     W,
-    gradient,
+    options,
     ring_of,
     weights,
 )
+
+ROWS_SIZE = MAX_RING * 4 * WIDTH
 
 
 def correct(kernel, mesh, layer, tolerance=1e-11, max_iterations=300):
@@ -156,27 +159,17 @@ def assemble(kernel):
     """K as CSR (row_start, column, values), plain integrals r (nv, d) and volumes int w (nv,)."""
     nv = len(kernel.points)
     points, w = quadrature(kernel.dim)
+    idle = -len(w) % WIDTH  # points of zero weight fill the last lanes
+    rule = np.column_stack([np.append(points, points[:idle], axis=0), np.append(w, np.zeros(idle))])
+    rule = np.ascontiguousarray(rule.reshape(-1, WIDTH, kernel.dim + 2).swapaxes(1, 2))
     volumes = np.abs(1.0 / np.linalg.det(kernel.inverse)) / [1, 1, 2, 6][kernel.dim]
     ring = (kernel.ring_start, kernel.ring_vertex)
     cell_start, cell_of = ring_cells(*ring, nv)
     row_start = matrix_rows(*ring, cell_start, cell_of, nv)
     column = matrix_columns(*ring, cell_start, cell_of, row_start, nv)
-    matrix = np.zeros(len(column))
-    integral = np.zeros((nv, kernel.dim))
-    volume = np.zeros(nv)
-    integrate(
-        kernel.axes,
-        kernel.rings,
-        volumes,
-        points,
-        w,
-        row_start,
-        column,
-        matrix,
-        integral,
-        volume,
-    )
-    return row_start, column, matrix, integral, volume
+    matrix, integral = np.zeros(len(column)), np.zeros((nv, 1 + kernel.dim))
+    integrate(kernel.axes, kernel.rings, volumes, rule, row_start, column, matrix, integral)
+    return row_start, column, matrix, integral[:, 1:], integral[:, 0]
 
 
 @njit(cache=True)
@@ -230,68 +223,94 @@ def matrix_columns(ring_start, ring_vertex, cell_start, cell_of, row_start, nv):
     return column
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
-def integrate(
-    axes,
-    rings,
-    volumes,
-    rule,
-    rule_weights,
-    row_start,
-    column,
-    matrix,
-    integral,
-    volume,
-):
-    """Add the integrals of all cells to K, r and int w."""
-    dim = len(axes)
-    cells, points = rings.cells, rings.points
-    ring_vertex = rings.vertex
-    t, lent = scratch(TABLE_SIZE), borrow(rings)
-    local = np.empty((MAX_RING, MAX_RING))
-    g = np.empty((3, MAX_RING))
-    wr = np.empty((4, MAX_RING))
-    x = np.empty(dim)
-    for c in range(len(cells)):
+@formula
+def factors(b, volume, frame, others):
+    """Quadrature points, of barycentric coordinates b[:-1] in a cell, and weights b[-1] times its volume."""
+    corner, _ = frame
+    x = (x_a + sum(b_q * (y[a] - x_a) for b_q, y in zip(b[1:], others)) for a, x_a in enumerate(corner))
+    return tuple(x), b[-1] * volume
+
+
+@formula
+def row_and_column(dv, d, w, r, m, k_inverse):
+    """Row (w, g) dv and column (w, w r) of a ring vertex: K_kl + delta_kl w_k sums row_k . column_l."""
+    g = [d * dot(row, [r_a - m_a for r_a, m_a in zip(r, m)]) for row in k_inverse]
+    return tuple(dv * q for q in (w, *g)), (w, *(w * r_a for r_a in r))
+
+
+@formula
+def add_dot(sum, a, b):
+    """sum + a . b"""
+    return sum + dot(a, b)
+
+
+@formula
+def add(a, b):
+    """Sum of two tuples."""
+    return tuple(p + q for p, q in zip(a, b))
+
+
+@formula
+def subtract(a, b):
+    """First number less the first of a tuple."""
+    return a - b[0]
+
+
+@njit(**options)
+def edge_corners(axes, cell, rings, table):
+    """The corners of a cell but the first."""
+    for q in range(len(axes)):
+        v = entry(rings.cells, cell * (len(axes) + 1) + q + 1)
+        store(table, q * len(axes), take(rings.points, v * len(axes), axes))
+    return take_matrix(table, 0, axes)
+
+
+@njit(**options)
+def integrate(axes, rings, volumes, rule, row_start, column, matrix, integral):
+    """Add the integrals of all cells to K and to int w and r.
+
+    Parameters
+    ----------
+    rule : (batches, d + 2, WIDTH) barycentric coordinates and weight of WIDTH points at a time
+    matrix : values of K
+    integral : (nv, 1 + d)
+    """
+    lent, t, corners = borrow(rings), scratch(TABLE_SIZE), scratch(9)
+    rows, columns, sums = scratch(ROWS_SIZE), scratch(ROWS_SIZE), scratch(ROWS_SIZE)
+    products = np.empty(MAX_RING * MAX_RING * WIDTH)
+    nothing = zeros((0, *axes))  # a row
+    size = len(nothing)
+    for c in range(len(volumes)):
         ring = ring_of(axes, c, lent)
-        first, n, _ = ring
-        local[:n, :n] = 0.0
-        for i in range(len(rule)):
-            for a in range(dim):
-                x[a] = 0.0
-                for q in range(dim + 1):
-                    x[a] += rule[i, q] * points[cells[c, q], a]
-            x_i = take(x, 0, axes)
-            m, k_inverse, _, _, _, _ = weights(axes, t, ring, x_i, lent, None, None)
-            dv = rule_weights[i] * volumes[c]
-            for k in range(n):
-                v = ring_vertex[first + k]
-                at = FIRST + k * ENTRY
-                w = entry(t, at + W)
-                volume[v] += dv * w
-                local[k, k] -= dv * w
-                store(x, 0, gradient(entry(t, at + D), w, load(t, at + R, x_i), m, k_inverse, None, None))
-                wr[dim, k] = w
-                for a in range(dim):
-                    g[a, k] = dv * x[a]
-                    integral[v, a] += g[a, k]
-                    wr[a, k] = w * entry(t, at + R + a)
-            for k in range(n):
-                wk = dv * wr[dim, k]
-                for j in range(n):
-                    t_kj = wk * wr[dim, j] + g[0, k] * wr[0, j]
-                    if dim > 1:
-                        t_kj += g[1, k] * wr[1, j]
-                    if dim > 2:
-                        t_kj += g[2, k] * wr[2, j]
-                    local[k, j] += t_kj
+        first, n, frame = ring
+        others = edge_corners(axes, c, lent, corners)
+        products[: n * n * WIDTH] = 0.0
         for k in range(n):
-            v = ring_vertex[first + k]
+            store(sums, k * size, nothing)
+        for i in range(len(rule)):
+            x, dv = factors(load(rule, i * (size + 1), zeros((0, 0, *axes))), volumes[c], frame, others)
+            m, k_inverse, _, _, _, _ = weights(axes, t, ring, x, lent, None, None)
+            for k in range(n):
+                at, diagonal = FIRST + k * ENTRY, k * n + k
+                d, w, r = load(t, at + D, dv), load(t, at + W, dv), load(t, at + R, x)
+                row_k, column_k = row_and_column(dv, d, w, r, m, k_inverse)
+                store(rows, k * size, row_k)
+                store(columns, k * size, column_k)
+                store(sums, k * size, add(load(sums, k * size, row_k), row_k))
+                store(products, diagonal, subtract(load(products, diagonal, dv), row_k))
+            for k in range(n):
+                row_k = load(rows, k * size, nothing)
+                for j in range(n):
+                    at, column_j = k * n + j, load(columns, j * size, nothing)
+                    store(products, at, add_dot(load(products, at, dv), row_k, column_j))
+        for k in range(n):
+            v = entry(lent.vertex, first + k)
+            add_totals(integral, v * size, load(sums, k * size, nothing))
             at = row_start[v]
             for j in range(n):
-                while column[at] < ring_vertex[first + j]:
+                while column[at] < entry(lent.vertex, first + j):
                     at += 1
-                matrix[at] += local[k, j]
+                add_totals(matrix, at, load(products, k * n + j, nothing[0]))
 
 
 @njit(cache=True)

@@ -15,12 +15,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
+from benchmarks.comparison import comparison
 from benchmarks.throughput import STAGES, throughput
 from benchmarks.vibrating_bar import error_against_time
+from benchmarks.work import peak, work
 from fempm import compat
 
 BOXES = {1: 4e-5, 2: 0.0068, 3: 0.058}  # dimension -> mesh size: 100,000 to 230,000 particles
 QUICK_BOXES = {1: 2e-4, 2: 0.018, 3: 0.1}
+GRIDS, QUICK_GRIDS = {2: 240, 3: 30}, {2: 90, 3: 16}  # cells per axis of structured grids
 BARS = {"graded": (2.0, 1.0, 0.5, 0.25), "jittered": (1.0, 0.5, 0.25)}
 QUICK_BARS = {"graded": (2.0, 1.0, 0.5), "jittered": (1.0, 0.5)}
 
@@ -66,7 +69,7 @@ def draw_stages(path, rows):
     figure = Figure(figsize=(3.8 * len(dims), 3.6), layout="constrained")
     for ax, dim in zip(figure.subplots(1, len(dims), sharey=True, squeeze=False)[0], dims):
         part = [row for row in rows if row["dim"] == dim]
-        names = [" ".join((r["transfer"], r["gradient"], r["order"].replace("cells", ""))) for r in part]
+        names = [f"{r['transfer']} {r['gradient']}" for r in part]
         left = np.zeros(len(part))
         for stage in STAGES.values():
             width = np.array([row[f"{stage}_ns"] for row in part]) / 1e3
@@ -116,7 +119,7 @@ def main(argv=None):
     boxes, repetitions = (QUICK_BOXES, 5) if args.quick else (BOXES, 15)
     print("\nfilled box in motion; M: 1e6 particle-steps, ns: per particle-step, peak: process so far,")
     print("setup: mesh excluded, with consistent gradient, CPU time; uniform intervals need no correction,")
-    print("so both gradients are the same in 1D; random: particles shuffled in memory", flush=True)
+    print("so both gradients are the same in 1D", flush=True)
     speed = []
     for dim, h in boxes.items():
         part = throughput(dim, h, repetitions)
@@ -124,6 +127,19 @@ def main(argv=None):
         speed += part
     write_csv(args.output / "throughput.csv", speed)
     draw_stages(args.output / "throughput.png", speed)
+
+    rate = peak()
+    print(
+        f"\nwork of the transfers per particle-step; a core multiplies and adds at {1e-9 * rate:.1f} GFlop/s"
+    )
+    done = [work(row, rate) for row in speed]
+    print(table(done))
+    write_csv(args.output / "work.csv", done)
+
+    print("\nneo-Hookean, APIC, 4 particles per triangle, 8 per tetrahedron, 4 and 8 per cell of a grid; M/s")
+    others = comparison(speed, QUICK_GRIDS if args.quick else GRIDS, repetitions)
+    print(table(others), flush=True)
+    write_csv(args.output / "comparison.csv", others)
 
     print("\nvibrating bar, one period, FLIP; seconds: CPU time", flush=True)
     errors = error_against_time(QUICK_BARS if args.quick else BARS)

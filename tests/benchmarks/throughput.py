@@ -17,9 +17,7 @@ STAGES = {
     "locate_particles": "locate",
 }
 PER_CELL = {1: 4, 2: 4, 3: 8}
-# All transfers and gradients with particles in the order of the cells, and the default in random order.
-VARIANTS = [(t, g, "cells") for t in ("pic", "flip", "apic") for g in ("plain", "consistent")]
-VARIANTS.append(("apic", "consistent", "random"))
+VARIANTS = [(t, g) for t in ("pic", "flip", "apic") for g in ("plain", "consistent")]
 
 
 def box(dim, h):
@@ -29,21 +27,16 @@ def box(dim, h):
     return fempm.read_mesh(MESHES / ("square.geo" if dim == 2 else "cube.geo"), h=h)
 
 
-def full_box(mesh, transfer, gradient="plain", order="cells", threads=1):
+def full_box(mesh, transfer, gradient="plain", threads=1):
     """Simulation of a box between slip walls, full of a solid in motion.
 
     Parameters
     ----------
     mesh : SimplexMesh of the unit box
     transfer, gradient : see `fempm.Simulation`
-    order : "cells" or "random", order of the particles in memory: a run starts with the first and
-        approaches the second as particles mix
     """
     solid = fempm.NeoHookean(density=1e3, young=1e6, poisson=0.3)
     position, volume = fempm.fill_cells(mesh, PER_CELL[mesh.dim])
-    if order == "random":
-        shuffle = np.random.default_rng(0).permutation(len(volume))
-        position, volume = position[shuffle], volume[shuffle]
     speed = 0.1 * solid.wave_speed()
     body = fempm.Body(position, volume, solid, lambda x: speed * np.sin(np.pi * x))
     walls = [fempm.Wall("boundary", "slip")]
@@ -107,7 +100,7 @@ def throughput(dim, h, repetitions=15, variants=VARIANTS):
     dim : space dimension
     h : mesh size of the unit box
     repetitions : how often to time; the best one counts
-    variants : list of (transfer, gradient, order)
+    variants : list of (transfer, gradient)
 
     Returns
     -------
@@ -120,8 +113,8 @@ def throughput(dim, h, repetitions=15, variants=VARIANTS):
     phi = full_box(mesh, "pic", "consistent").kernel.phi
     setup = time.process_time() - begin
     rows = []
-    for transfer, gradient, order in variants:
-        simulation = full_box(mesh, transfer, "plain", order)
+    for transfer, gradient in variants:
+        simulation = full_box(mesh, transfer)
         if gradient == "consistent":
             simulation.kernel.phi = phi  # all that the gradients differ in; solved for only once
         n, ring = len(simulation.particles), np.diff(simulation.kernel.ring_start)
@@ -132,7 +125,6 @@ def throughput(dim, h, repetitions=15, variants=VARIANTS):
                 "dim": dim,
                 "transfer": transfer,
                 "gradient": gradient,
-                "order": order,
                 "particles": n,
                 "cells": len(mesh.cells),
                 "ring": ring.mean(),

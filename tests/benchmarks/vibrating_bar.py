@@ -49,7 +49,7 @@ def vibrate(kind, gradient, h, periods=1.0):
         scene.step(periods * PERIOD / steps)
         seconds += time.process_time() - begin
         exact = SPEED / OMEGA * np.sin(OMEGA * scene.time) * shape
-        off = scene.particles.position[:, 0] - position[:, 0] - exact
+        off = scene.particles.position[:, 0] - (position[:, 0] + exact)[scene.particles.id]
         error = max(error, np.sqrt(np.mean(off**2)))
     return {
         "mesh": kind,
