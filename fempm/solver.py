@@ -472,9 +472,11 @@ class Simulation:
 
 
 def cell_sizes(mesh):
-    """(nc,) least mean edge length among the vertices of each cell."""
+    """(nc,) size that the time step is to resolve: mean edge length, in flat cells three heights."""
     size = mean_edge_length(mesh.points, mesh.adjacency_start, mesh.adjacency)
-    return size[mesh.cells].min(axis=1)
+    slope = np.concatenate([mesh.inverse, -mesh.inverse.sum(axis=1, keepdims=True)], axis=1)
+    height = 1 / np.linalg.norm(slope, axis=2).max(axis=1)
+    return np.minimum(size[mesh.cells].min(axis=1), 3 * height)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
