@@ -10,6 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from . import boundaries
 from .parallel import Borders, bisect
 
 FORMAT, VERSION = "fempm checkpoint", 1
@@ -191,7 +192,7 @@ def own(values, ranks):
 def take_up(simulation, scalars, owner, counts, arrays):
     """Put the state read from a checkpoint in the place of the present one. Collective."""
     s, p = simulation, simulation.particles
-    s.wall_motion(0.0)  # before the number of steps says that the first one made it
+    boundaries.wall_motion(s, 0.0)  # before the number of steps says that the first one made it
     rings = (s.kernel.ring_start, s.kernel.ring_vertex)
     s.owner, s.borders = owner, Borders(s.ranks, owner, *rings, len(s.kernel.points))
     if sum(counts) > len(p.stored["mass"]):

@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numba import njit
 
-from . import consistency, diagnostics, grid, locate, transfer
+from . import boundaries, consistency, diagnostics, grid, locate, transfer
 from .contact import Contact, Obstacle
 from .f_bar import average_jacobian
 from .kernel import build_kernel, check_cells
@@ -241,8 +241,8 @@ class Simulation:
     def update_grid(self, dt):
         """Fold mirrors, update velocities, apply walls, fill mirrors."""
         unknowns = len(self.mesh.points) + self.layer.num_free
-        drift, change = self.wall_motion(dt)
-        self.fold(drift[0])
+        drift, change = boundaries.wall_motion(self, dt)
+        boundaries.fold(self, drift[0])
         self.borders.add_shared(self.grids[0], self.stamp, self.steps)
         dropped, lost = grid.update_velocity(
             self.grids[0],
@@ -257,74 +257,12 @@ class Simulation:
         )
         self.dropped_vertices += dropped
         self.lost_momentum += lost
-        self.apply_walls(drift, change)
+        boundaries.apply_walls(self, drift, change)
         if self.condition is not None:
-            self.impose(unknowns)
-            self.fill_mirrors(drift, change)
+            boundaries.impose(self, unknowns)
+            boundaries.fill_mirrors(self, drift, change)
         if self.contact:
-            self.hold_back(dt, drift, change)
-
-    def apply_walls(self, drift, change):
-        """Velocities of wall vertices and mirrors."""
-        layer, active = self.layer, (self.stamp, self.steps)
-        grid.constrain(
-            *active, layer.vertices, layer.project, drift[1], change[1], self.velocity, self.increment
-        )
-        self.fill_mirrors(drift, change)
-
-    def fill_mirrors(self, drift, change):
-        """Velocities of mirrors."""
-        layer, unknowns = self.layer, len(self.mesh.points) + self.layer.num_free
-        mirrors = (unknowns, layer.source, layer.fold, drift[0], change[0])
-        grid.fill_mirrors(self.stamp, self.steps, *mirrors, self.velocity, self.increment)
-
-    def hold_back(self, dt, drift, change):
-        """Keep particles that the barrier cannot stop from passing a surface, see `Contact.hold_back`."""
-        sums = self.contact.hold_back(self.particles, self.kernel, self.velocity, dt)
-        if not self.ranks.max(int(sums is not None)):
-            return
-        self.held_back += 1
-        sums = np.zeros((len(self.velocity), 1 + self.mesh.dim)) if sums is None else sums
-        self.borders.add_shared(sums, self.stamp, self.steps)
-        push = sums[:, 1:] / np.where(sums[:, :1] > 0, sums[:, :1], 1.0)
-        self.velocity += push
-        if len(self.increment):
-            self.increment += push
-        self.apply_walls(drift, change)
-
-    def impose(self, unknowns):
-        """Velocities by the function `condition`, which FLIP sees as a change of velocity."""
-        v = self.vertices[: self.num_vertices]
-        v = v[v < unknowns]
-        before = self.velocity[v]
-        now = np.asarray(self.condition(self.kernel.points[v], before, self.time), float)
-        if now.shape != before.shape:
-            raise ValueError(f"condition returns shape {now.shape} for velocities {before.shape}")
-        self.velocity[v] = now
-        if len(self.increment):
-            self.increment[v] += now - before
-
-    def fold(self, drift):
-        """Add what mirrors hold to their owners."""
-        layer, unknowns = self.layer, len(self.mesh.points) + self.layer.num_free
-        active = (self.stamp, self.steps)
-        grid.fold_mirrors(self.grids[0], *active, unknowns, layer.source, layer.fold, drift, self.gravity)
-
-    def wall_motion(self, dt):
-        """What moving walls add to mirror and wall vertices: velocities, and their change in a step."""
-        d, shapes = self.mesh.dim, (len(self.layer.source), len(self.layer.vertices))
-        if not self.layer.moving and self.steps:
-            return self.motion
-        drift, change = [[np.zeros((n, d)) for n in shapes] for _ in range(2)]
-        for wall, *matrices in self.layer.moving:
-            before, now = (np.asarray(wall.velocity_at(self.time + s), float) for s in (0.0, dt))
-            if now.shape != (d,):
-                raise ValueError(f"wall {wall.boundary!r}: velocity of shape {now.shape}, give ({d},)")
-            for i, matrix in enumerate(matrices):
-                drift[i] += matrix @ now
-                change[i] += matrix @ (now - before)
-        self.motion = drift, change
-        return self.motion
+            boundaries.hold_back(self, dt, drift, change)
 
     def grid_to_particle(self, dt):
         """Velocities, positions and deformation gradients of the particles."""
@@ -443,7 +381,7 @@ class Simulation:
         """
         nv, d = len(self.mesh.points), self.mesh.dim
         self.particle_to_grid()
-        self.fold(self.wall_motion(0.0)[0][0])
+        boundaries.fold(self, boundaries.wall_motion(self, 0.0)[0][0])
         fields = np.where((self.stamp[:nv] == self.steps)[:, None], self.grids[0, :nv, : 1 + d], 0.0)
         fields = self.ranks.sum(fields)
         mass, momentum = fields[:, 0], fields[:, 1:]
