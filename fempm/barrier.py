@@ -66,6 +66,19 @@ def closest_in_triangle(x, corners, f, w):
 
 
 @njit(**compiled)
+def offset_from_facet(axes, x, corners, f, w, offset):
+    """Write x less its closest point on facet f; returns the square of its length."""
+    closest_weights(axes, x, corners, f, w)
+    square = 0.0
+    for a in range(len(axes)):
+        offset[a] = x[a]
+        for q in range(len(axes)):
+            offset[a] -= w[q] * corners[f, q, a]
+        square += offset[a] ** 2
+    return square
+
+
+@njit(**compiled)
 def wall_contacts(
     axes,
     active,
@@ -103,13 +116,7 @@ def wall_contacts(
                 least, nearest = np.inf, -1
                 while k < cell_start[c + 1] and facet_surface[cell_facet[k]] == s:
                     f = cell_facet[k]
-                    closest_weights(axes, x, corners, f, w)
-                    square = 0.0
-                    for a in range(d):
-                        offset[a] = x[a]
-                        for q in range(d):
-                            offset[a] -= w[q] * corners[f, q, a]
-                        square += offset[a] ** 2
+                    square = offset_from_facet(axes, x, corners, f, w, offset)
                     if square < least:
                         least, nearest = square, f
                         if n < len(particle):
@@ -156,6 +163,21 @@ def approach_rate(approach, gap, reach, kappa):
         else:
             high = middle
     return high
+
+
+@njit(**compiled)
+def add_friction(p, i, largest, eps, normal, slip, force):
+    """Add the friction of contact i, `largest` where it slides, to the force on particle p."""
+    d = normal.shape[1]
+    square, along = 0.0, 0.0
+    for a in range(d):
+        square += slip[p, a] ** 2
+        along += slip[p, a] * normal[i, a]
+    u = np.sqrt(max(square - along**2, 0.0))
+    if u > 0 and eps > 0:
+        share = (2.0 - u / eps) / eps if u < eps else 1.0 / u
+        for a in range(d):
+            force[p, a] -= largest * share * (slip[p, a] - along * normal[i, a])
 
 
 @njit(**compiled)
@@ -213,15 +235,7 @@ def contact_forces(
             eps = min(2.0 * friction[s] * f / (STICK * kappa), SLIP * reach[s])
             slip_limit[i] = eps
             spring += 2.0 * friction[s] * f / eps
-            square, along = 0.0, 0.0
-            for a in range(d):
-                square += slip[p, a] ** 2
-                along += slip[p, a] * normal[i, a]
-            u = np.sqrt(max(square - along**2, 0.0))
-            if u > 0 and eps > 0:
-                share = (2.0 - u / eps) / eps if u < eps else 1.0 / u
-                for a in range(d):
-                    force[p, a] -= friction[s] * f * share * (slip[p, a] - along * normal[i, a])
+            add_friction(p, i, friction[s] * f, eps, normal, slip, force)
         rate = max(rate, np.sqrt(spring / mass[p]))
     return rate
 

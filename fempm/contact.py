@@ -22,7 +22,7 @@ from .barrier import FLOOR, GUARD, LEAST, STIFFNESS, WATCH, contact_forces, moti
 from .kernel import evaluate_many
 from .locate import cell_bins
 from .mesh import mean_edge_length
-from .walls import facet_normals, smooth_patches
+from .walls import check_friction, facet_normals, smooth_patches
 
 
 @dataclass
@@ -45,8 +45,7 @@ class Obstacle:
     def __post_init__(self):
         if not callable(self.distance):
             raise TypeError(f"{self.name}: distance {self.distance!r} is not a function of positions")
-        if not self.friction >= 0 or not (self.reach is None or self.reach > 0):
-            raise ValueError(f"{self.name}: friction {self.friction}, reach {self.reach} must be positive")
+        check_friction(self.name, self.friction, self.reach)
 
     def distance_at(self, x):
         """(n,) distances at positions x (n, d)."""
@@ -81,8 +80,12 @@ class Contact:
 
     def __init__(self, mesh, walls, obstacles, bodies):
         self.obstacles, self.axes = list(obstacles), tuple(range(mesh.dim))
-        size = mean_edge_length(mesh.points, mesh.adjacency_start, mesh.adjacency)
+        self.num, self.rate, self.reach, self.friction = 0, 0.0, np.empty(0), np.empty(0)
+        self._allocate(0)
         chosen = [wall for wall in walls if wall.kind == "contact"]
+        if not chosen and not self.obstacles:
+            return
+        size = mean_edge_length(mesh.points, mesh.adjacency_start, mesh.adjacency)
         patches = [p for k, w in enumerate(chosen) for p in smooth_patches(mesh, k, mesh.facets(w.boundary))]
         reach = [w.reach or 0.25 * size[np.unique(mesh.facets(w.boundary))].mean() for w in chosen]
         around = [o.reach or 0.25 * size.mean() for o in self.obstacles]
@@ -102,17 +105,27 @@ class Contact:
         ]
         materials = [body.material for body in bodies]
         self.modulus = STIFFNESS * np.array([m.density * m.wave_speed(1.0, 1.0) ** 2 for m in materials])
-        self.num, self.rate = 0, 0.0
-        self._reserve(0)
 
     def __bool__(self):
         return len(self.reach) > 0
 
-    def _reserve(self, room):
+    def _allocate(self, room):
         d = len(self.axes)
         self.particle, self.surface = np.empty(room, np.int64), np.empty(room, np.int64)
         self.distance, self.slip_limit = np.empty(room), np.empty(room)
         self.normal, self.start = np.empty((room, d)), np.empty((room, d))
+
+    @property
+    def _found(self):
+        return self.particle, self.surface, self.distance, self.normal, self.start
+
+    def _reserve(self, room):
+        """Make room for that many contacts, and some more, keeping those found."""
+        if room > len(self.particle):
+            before = self._found
+            self._allocate(room + room // 4)
+            for array, old in zip(self._found, before, strict=True):
+                array[: len(old)] = old
 
     def add_state(self, particles):
         """Give the particles the variables that contact keeps."""
@@ -128,18 +141,16 @@ class Contact:
         """Find the contacts of the particles, cell by cell as sorted, and the forces of these contacts."""
         p = particles
         facets = (self.cell_start, self.cell_facet, self.facet_surface, self.corners, self.inward)
-        while True:
-            arrays = (self.particle, self.surface, self.distance, self.normal, self.start)
-            sorted_cells = (active, num_active, start, order)
-            self.num = wall_contacts(self.axes, *sorted_cells, p.position, *facets, self.reach, *arrays)
-            if self.num <= len(self.particle):
-                break
-            self._reserve(self.num + self.num // 4)
+        walls = (self.axes, active, num_active, start, order, p.position, *facets, self.reach)
+        self.num = wall_contacts(*walls, *self._found)
+        if self.num > len(self.particle):
+            self._reserve(self.num)
+            wall_contacts(*walls, *self._found)
         for k, near in enumerate(self.near_obstacle):
             self._meet(k, near, p)
         if self.obstacles:
             by_particle = np.argsort(self.particle[: self.num], kind="stable")
-            for array in (self.particle, self.surface, self.distance, self.normal, self.start):
+            for array in self._found:
                 array[: self.num] = array[by_particle]
         stops = np.array([part.stop for part in p.ranges])
         self.rate = contact_forces(
@@ -167,15 +178,7 @@ class Contact:
         close = distance < WATCH * self.reach[surface]
         candidates, distance = candidates[close], distance[close]
         first, self.num = self.num, self.num + len(candidates)
-        if self.num > len(self.particle):
-            kept = [
-                a[:first].copy()
-                for a in (self.particle, self.surface, self.distance, self.normal, self.start)
-            ]
-            self._reserve(self.num + self.num // 4)
-            arrays = (self.particle, self.surface, self.distance, self.normal, self.start)
-            for array, old in zip(arrays, kept, strict=True):
-                array[:first] = old
+        self._reserve(self.num)
         rows = slice(first, self.num)
         self.particle[rows], self.surface[rows], self.distance[rows] = candidates, surface, distance
         self.start[rows] = p.position[candidates]

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .plasticity import volume_ratio
 from .simplex import simplex_points
 
 
@@ -118,12 +119,7 @@ class Particles:
     @property
     def jacobian(self):
         """(n,) J = V / V0, with what plastic bodies keep outside of F (see `plasticity`)."""
-        j = np.linalg.det(self.deformation_gradient)
-        if "lateral_strain" in self.state:
-            j *= np.exp((3 - self.position.shape[1]) * self.state["lateral_strain"])
-        if "plastic_volume" in self.state:
-            j *= np.exp(self.state["plastic_volume"])
-        return j
+        return volume_ratio(self.deformation_gradient, **self.state)
 
     @property
     def cauchy_stress(self):

@@ -3,14 +3,11 @@
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numba import njit
 
-from . import boundaries, consistency, diagnostics, grid, locate, transfer
+from . import boundaries, consistency, diagnostics, grid, locate, time_step, transfer
 from .contact import Contact, Obstacle
 from .f_bar import average_jacobian
 from .kernel import build_kernel, check_cells
-from .materials import extremes
-from .mesh import mean_edge_length
 from .parallel import Borders, Ranks, bisect, migrate
 from .particles import Body, join_bodies
 from .walls import Wall, wall_layer
@@ -75,25 +72,13 @@ class Simulation:
         threads=1,
         imbalance=1.2,
     ):
-        if transfer not in TRANSFERS:
-            raise ValueError(f"transfer {transfer!r}: give one of {', '.join(TRANSFERS)}")
-        if gradient not in ("consistent", "plain"):
-            raise ValueError(f"gradient {gradient!r}: give 'consistent' or 'plain'")
-        if not 0 <= flip <= 1:
-            raise ValueError(f"flip {flip}: the share of FLIP lies in [0, 1]")
-        for name, value, ok in (
-            ("threads", threads, threads >= 1),
-            ("cfl", cfl, cfl > 0),
-            ("imbalance", imbalance, imbalance >= 1),
-        ):
-            if not ok:
-                raise ValueError(f"{name} {value}: give {'more than 0' if name == 'cfl' else 'at least 1'}")
+        check_options(transfer, gradient, flip, threads=threads, cfl=cfl, imbalance=imbalance)
         for given, kind in ((bodies, Body), (walls, Wall), (obstacles, Obstacle)):
             if isinstance(given, kind) or not all(isinstance(item, kind) for item in given):
                 raise TypeError(f"{given!r}: give a list of {kind.__name__}")
         self.ranks = Ranks()
         self.mesh, self.bodies, self.walls = mesh, list(bodies), list(walls)
-        self.transfer, self.cfl = transfer, cfl
+        self.transfer, self.cfl, self.threads, self.imbalance = transfer, cfl, threads, imbalance
         self.body_force, self.condition = body_force, condition
         self.flip = flip if transfer == "flip" else 0.0
         d = mesh.dim
@@ -112,10 +97,9 @@ class Simulation:
         self.contact = Contact(mesh, self.walls, obstacles, self.bodies)
         self.contact.add_state(self.particles)
         self.contact.check(self.particles)
-        self.cell_size = cell_sizes(mesh)
+        self.cell_size = time_step.cell_sizes(mesh)
         self.bins = locate.cell_bins(mesh)
         self.wall_facet = locate.wall_facets(mesh, self.layer)
-        self.threads, self.imbalance = threads, imbalance
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self.time, self.steps, self.dt = 0.0, 0, 0.0
         self.dropped_vertices, self.lost_momentum, self.wall_hits, self.held_back = 0, 0.0, 0, 0
@@ -332,23 +316,11 @@ class Simulation:
         p, m = self.particles, self.mesh
         counts = np.zeros((self.threads, 2), np.int64)
         bounds = self.parts(0, len(p))
+        cells = (m.cells, m.points, m.inverse, m.neighbours, self.wall_facet, self.bins)
 
         def share(thread):
-            locate.walk(
-                self.kernel.axes,
-                bounds[thread],
-                bounds[thread + 1],
-                p.position,
-                p.cell,
-                m.cells,
-                m.points,
-                m.inverse,
-                m.neighbours,
-                self.wall_facet,
-                self.bins,
-                self.status,
-                counts[thread],
-            )
+            part = (bounds[thread], bounds[thread + 1], p.position, p.cell)
+            locate.walk(self.kernel.axes, *part, *cells, self.status, counts[thread])
 
         self.on_threads(share)
         hits, lost = counts.sum(axis=0)
@@ -365,14 +337,7 @@ class Simulation:
 
         Contact shortens it, see `barrier.contact_forces`. Collective.
         """
-        p = self.particles
-        rate, sign = 0.0, np.array([1, -1])
-        bounds = np.array([extremes(p.deformation_gradient[part]) for part in p.ranges])
-        bounds = sign * self.ranks.max(sign * bounds)
-        for body, part, (stretch, jacobian) in zip(self.bodies, p.ranges, bounds, strict=True):
-            c = body.material.wave_speed(stretch, jacobian)
-            rate = max(rate, signal_rate(p.velocity[part], p.cell[part], c, self.cell_size))
-        return self.ranks.min(min(self.cfl / rate if rate else np.inf, 1 / max(self.contact.rate, 1e-300)))
+        return time_step.stable_step(self)
 
     def vertex_fields(self):
         """Mass (nv,) and velocity (nv, d) on the mesh's vertices now, zero without particles. Collective.
@@ -409,21 +374,16 @@ class Simulation:
         return diagnostics.report(self)
 
 
-def cell_sizes(mesh):
-    """(nc,) size that the time step is to resolve: mean edge length, in flat cells three heights."""
-    size = mean_edge_length(mesh.points, mesh.adjacency_start, mesh.adjacency)
-    slope = np.concatenate([mesh.inverse, -mesh.inverse.sum(axis=1, keepdims=True)], axis=1)
-    height = 1 / np.linalg.norm(slope, axis=2).max(axis=1)
-    return np.minimum(size[mesh.cells].min(axis=1), 3 * height)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def signal_rate(velocity, cell, wave_speed, cell_size):
-    """Largest (c + |v|) / h over the particles."""
-    rate = 0.0
-    for p in range(len(velocity)):
-        square = 0.0
-        for a in range(velocity.shape[1]):
-            square += velocity[p, a] ** 2
-        rate = max(rate, (wave_speed + np.sqrt(square)) / cell_size[cell[p]])
-    return rate
+def check_options(transfer, gradient, flip, threads, cfl, imbalance):
+    """Raise ValueError for an option of `Simulation` that is none."""
+    if transfer not in TRANSFERS:
+        raise ValueError(f"transfer {transfer!r}: give one of {', '.join(TRANSFERS)}")
+    if gradient not in ("consistent", "plain"):
+        raise ValueError(f"gradient {gradient!r}: give 'consistent' or 'plain'")
+    if not 0 <= flip <= 1:
+        raise ValueError(f"flip {flip}: the share of FLIP lies in [0, 1]")
+    if not cfl > 0:
+        raise ValueError(f"cfl {cfl}: give more than 0")
+    for name, value in (("threads", threads), ("imbalance", imbalance)):
+        if not value >= 1:
+            raise ValueError(f"{name} {value}: give at least 1")

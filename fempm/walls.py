@@ -48,14 +48,17 @@ class Wall:
             )
         if self.kind != "contact" and (self.friction or self.reach is not None):
             raise ValueError(f"wall {self.boundary!r}: friction and reach are for kind 'contact'")
-        if not self.friction >= 0 or not (self.reach is None or self.reach > 0):
-            raise ValueError(
-                f"wall {self.boundary!r}: friction {self.friction}, reach {self.reach} must be positive"
-            )
+        check_friction(f"wall {self.boundary!r}", self.friction, self.reach)
 
     def velocity_at(self, time):
         """(d,) wall velocity at a time, or None for a wall at rest."""
         return self.velocity(time) if callable(self.velocity) else self.velocity
+
+
+def check_friction(name, friction, reach):
+    """Raise ValueError unless the numbers of a surface with contact are positive."""
+    if not friction >= 0 or not (reach is None or reach > 0):
+        raise ValueError(f"{name}: friction {friction}, reach {reach} must be positive")
 
 
 @dataclass
