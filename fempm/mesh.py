@@ -115,11 +115,13 @@ def mean_edge_length(points, start, adjacent):
 
 
 def interval_mesh(x):
-    """Mesh of the intervals between increasing coordinates x (n,)."""
+    """Mesh of the intervals between increasing coordinates x (n,), with boundaries "left" and "right"."""
     x = np.asarray(x, float)
     if np.any(np.diff(x) <= 0):
         raise ValueError("the coordinates of an interval mesh must increase")
-    return SimplexMesh(x[:, None], np.stack([np.arange(len(x) - 1), np.arange(1, len(x))], axis=1))
+    ends = {"left": np.array([[0]], np.int32), "right": np.array([[len(x) - 1]], np.int32)}
+    cells = np.stack([np.arange(len(x) - 1), np.arange(1, len(x))], axis=1)
+    return SimplexMesh(x[:, None], cells, boundaries=ends)
 
 
 def from_dolfinx(mesh, facet_tags=None, names=None, boundaries=None, cell_tags=None, region_names=None):

@@ -1,0 +1,194 @@
+"""The implicit pressure: one symmetric positive definite system for its increment (thesis 3.2.7).
+
+With A_bq = int chi_q grad phi_b, momentum and pressure of the implicit part are
+
+    M u = M u* + dt (A P - w),      S (P - P*) + A^T u = 0,      S = diag(V_q / (rho c^2 dt)),
+
+and, with u eliminated, (S + dt A^T M^-1 A) (P - P*) = -A^T (u* + dt M^-1 (A P* - w)). At walls M^-1 loses its
+normal part, at inflows all of it. At outflows the pressure of the boundary is that of the wave which leaves,
+p* + Z (u - u*) . n with the impedance Z = rho c: Z joins M, the rest is w, and nothing is reflected.
+"""
+
+import sys
+
+import numpy as np
+from numba import njit
+
+from fempm.solver import SimulationError
+
+from .advection import options
+
+
+@njit(**options)
+def pressure_force(shape, nodes, dofs, coefficients, pressure, out):
+    """`out` (n, d) = A P; `shape` holds tuples as long as dofs and nodes per cell and dimensions."""
+    per_cell, corners, size = shape
+    out[:] = 0.0
+    for c in range(len(nodes)):
+        for q in range(len(per_cell)):
+            p = pressure[dofs[c, q]]
+            for b in range(len(corners)):
+                for a in range(len(size)):
+                    out[nodes[c, b], a] += coefficients[c, q, b, a] * p
+
+
+@njit(**options)
+def add_divergence(shape, nodes, dofs, coefficients, velocity, out):
+    """Add A^T u to `out` (nq,)."""
+    per_cell, corners, size = shape
+    for c in range(len(nodes)):
+        for q in range(len(per_cell)):
+            total = 0.0
+            for b in range(len(corners)):
+                for a in range(len(size)):
+                    total += coefficients[c, q, b, a] * velocity[nodes[c, b], a]
+            out[dofs[c, q]] += total
+
+
+@njit(**options)
+def add_work(shape, nodes, dofs, coefficients, weights, pressure, velocity, out):
+    """Add to `out` (n,) the energy that the pressure gives each node, which sums to zero in every cell.
+
+    A node gets the work of the force on it, which is what its kinetic energy gains, and of the heat -P div u
+    of the cell the share `weights`: so internal energy only falls where the gas expands.
+    """
+    per_cell, corners, size = shape
+    for c in range(len(nodes)):
+        for q in range(len(per_cell)):
+            p, total = pressure[dofs[c, q]], 0.0
+            for b in range(len(corners)):
+                work = 0.0
+                for a in range(len(size)):
+                    work += coefficients[c, q, b, a] * velocity[nodes[c, b], a]
+                out[nodes[c, b]] += p * work
+                total += p * work
+            for b in range(len(corners)):
+                out[nodes[c, b]] -= weights[q, b] * total
+
+
+@njit(**options)
+def add_means(shape, nodes, dofs, weights, volumes, values, out):
+    """Add to `out` (nq, m) the integrals of nodal values (n, m) against the pressure functions."""
+    per_cell, corners, _ = shape
+    for c in range(len(nodes)):
+        for q in range(len(per_cell)):
+            for k in range(values.shape[1]):
+                mean = 0.0
+                for b in range(len(corners)):
+                    mean += weights[q, b] * values[nodes[c, b], k]
+                out[dofs[c, q], k] += mean * volumes[c] / len(per_cell)
+
+
+@njit(**options)
+def divide_by_mass(size, inverse, special, tensors, force):
+    """Make the force (n, d) a velocity: `inverse` (n,) of the mass, `tensors` (k, d, d) at nodes `special`."""
+    x = np.empty(len(size))
+    for k in range(len(special)):
+        i = special[k]
+        for a in range(len(size)):
+            x[a] = force[i, a]
+        for a in range(len(size)):
+            force[i, a] = 0.0
+            for b in range(len(size)):
+                force[i, a] += tensors[k, a, b] * x[b]
+    for i in range(len(inverse)):
+        for a in range(len(size)):
+            force[i, a] *= inverse[i]
+
+
+class PressureSystem:
+    """The matrix S + dt A^T M^-1 A, applied cell by cell, and its PETSc solver.
+
+    Conjugate gradients with Jacobi's preconditioner, to 1e-8 of the right hand side, unless PETSc's options
+    (-ksp_rtol, -ksp_monitor, ... on the command line or in PETSC_OPTIONS) say otherwise.
+
+    Parameters
+    ----------
+    part : Part, the space of this rank
+
+    Attributes
+    ----------
+    iterations : of the last solve
+    """
+
+    def __init__(self, part):
+        from fempm import compat  # noqa: F401, before PETSc: see there
+
+        # isort: split
+        from mpi4py import MPI
+        from petsc4py import PETSc
+
+        self.part, self.iterations = part, 0
+        space = part.space
+        self.pressure, self.result = (np.zeros(len(space.pressure_volumes)) for _ in range(2))
+        self.velocity = np.empty_like(space.points)
+        comm = part.ranks.comm or MPI.COMM_SELF
+        sizes = ((part.num_owned, None),) * 2
+        matrix = PETSc.Mat().createPython(sizes, self, comm)
+        matrix.setOption(PETSc.Mat.Option.SPD, True)
+        matrix.setUp()
+        for name, value in command_line_options(sys.argv):
+            PETSc.Options().setValue(name, value)
+        self.ksp = PETSc.KSP().create(comm)
+        self.ksp.setOperators(matrix)
+        self.ksp.setType("cg")
+        self.ksp.getPC().setType("jacobi")
+        self.ksp.setTolerances(rtol=1e-8, atol=0.0, max_it=2000)
+        self.ksp.setFromOptions()
+        self.right, self.left = matrix.createVecs()
+
+    def solve(self, dt, stiffness, inverse, special, tensors, rhs):
+        """Solve (stiffness + dt A^T M^-1 A) x = rhs; returns x (nq,).
+
+        Parameters
+        ----------
+        dt : time step
+        stiffness, rhs : (nq,)
+        inverse, special, tensors : M^-1, see `divide_by_mass`
+
+        Raises
+        ------
+        SimulationError
+            if PETSc did not converge, with its reason
+        """
+        self.dt, self.stiffness, self.mass = dt, stiffness, (inverse, special, tensors)
+        self.right.array[:] = rhs[self.part.owned]
+        self.ksp.getOperators()[0].assemble()
+        self.ksp.solve(self.right, self.left)
+        self.iterations = self.ksp.getIterationNumber()
+        if self.ksp.getConvergedReason() < 0:
+            raise SimulationError(
+                f"the pressure did not converge in {self.iterations} iterations of PETSc "
+                f"(reason {self.ksp.getConvergedReason()}): take a smaller time step or -ksp_max_it"
+            )
+        return self.part.spread(self.left.array_r)
+
+    def mult(self, matrix, x, y):
+        """y = (S + dt A^T M^-1 A) x, for PETSc."""
+        part = self.part
+        self.pressure[:] = part.spread(x.array_r)
+        force = part.pressure_force(self.pressure, self.velocity)
+        divide_by_mass(part.size, *self.mass, force)
+        part.divergence(force, self.result)
+        y.array[:] = self.dt * self.result[part.owned] + self.stiffness[part.owned] * x.array_r
+
+    def getDiagonal(self, matrix, diagonal):
+        """Diagonal of the matrix, for PETSc."""
+        space, (inverse, special, tensors) = self.part.space, self.mass
+        effective = inverse.copy()
+        effective[special] *= np.trace(tensors, axis1=1, axis2=2) / space.dim
+        nodes, dofs, squares = self.part.pairs
+        sums = np.bincount(dofs, squares * effective[nodes], len(self.result))
+        diagonal.array[:] = (self.stiffness + self.dt * sums)[self.part.owned]
+
+
+def command_line_options(argv):
+    """Pairs (name, value) of the PETSc options -ksp_... and -pc_... among the arguments of a program."""
+    starts = [k for k, word in enumerate(argv) if word.startswith(("-ksp_", "-pc_"))]
+    values = [argv[k + 1] if k + 1 < len(argv) and is_value(argv[k + 1]) else "" for k in starts]
+    return [(argv[k][1:], value) for k, value in zip(starts, values)]
+
+
+def is_value(word):
+    """Whether a word of the command line is no option."""
+    return not word.startswith("-") or word[1:2].isdigit()
