@@ -20,7 +20,7 @@ from .spaces import build_space
 SCHEMES = ("imex", "euler")
 GAMMA = 1 - 1 / np.sqrt(2)  # of the two-stage scheme
 STILL = 1e-9  # gas slower than this share of the speed of sound carries nothing
-SHOCK = 0.01  # compression in one step from which a wave counts as a shock
+SHOCK = 0.003  # compression in one step from which a wave counts as a shock
 START_STEPS, START_CFL = 5, 0.25  # first steps, limited by the speed of sound
 SMALLEST = 2.0**-12  # share of a step that is tried when positivity is lost
 
