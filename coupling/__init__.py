@@ -1,1 +1,16 @@
-"""coupling: compressible flow with shocks on simplex meshes (in work: exact Riemann solutions so far)."""
+"""coupling: compressible gas on the meshes of fempm, and soon its coupling with solids.
+
+A gas is a mesh, an equation of state, an initial state, boundary conditions, and a run:
+
+    mesh = fempm.read_mesh("meshes/tank.geo", h=0.02)
+    walls = [SlipWall("bottom"), SlipWall("top"), Outflow("left"), Outflow("right")]
+    gas = Flow(mesh, IdealGas(1.4), initial, walls)
+    fempm.run(gas, until=0.2, output="results/gas")
+"""
+
+from .boundaries import Inflow, Outflow, Periodic, SlipWall, SubsonicInflow
+from .flow import Flow
+from .gas import IdealGas
+from .riemann import State
+
+__all__ = ["Flow", "IdealGas", "Inflow", "Outflow", "Periodic", "SlipWall", "State", "SubsonicInflow"]

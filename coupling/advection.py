@@ -8,9 +8,55 @@ each node from its gradient. Where neither end of an edge moves, nothing is comp
 import numpy as np
 from numba import njit
 
-from .limiters import CONTACT, SUPERBEE, contact_share, slope
+from .limiters import contact_share, slope
 
 options = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "arcp"}}
+
+
+@njit(**options)
+def primitive(U, W):
+    """Fill W (n, d + 2) with density, velocity, internal energy per volume; returns the worst node.
+
+    That is one where density or internal energy is least, or not a number.
+    """
+    worst, least, d = 0, np.inf, U.shape[1] - 2
+    for i in range(len(U)):
+        W[i, 0] = U[i, 0]
+        inner = U[i, d + 1]
+        for k in range(1, d + 1):
+            W[i, k] = U[i, k] / U[i, 0]
+            inner -= 0.5 * U[i, k] * W[i, k]
+        W[i, d + 1] = inner
+        lower = min(U[i, 0], inner)
+        if not lower >= least:
+            worst, least = i, lower
+            if not lower > -np.inf:
+                break
+    return worst
+
+
+@njit(**options)
+def limited_sum(U, change, out):
+    """Fill `out` with U + change, the change at a node halved until three quarters of density and of internal
+    energy are not used up; returns at how many nodes."""
+    cut, last = 0, U.shape[1] - 1
+    for i in range(len(U)):
+        kinetic = 0.0
+        for k in range(1, last):
+            kinetic += U[i, k] * U[i, k]
+        inner = U[i, last] - 0.5 * kinetic / U[i, 0]
+        share = 1.0
+        for halving in range(60):
+            kinetic = 0.0
+            for k in range(last + 1):
+                out[i, k] = U[i, k] + share * change[i, k]
+                if 0 < k < last:
+                    kinetic += out[i, k] * out[i, k]
+            if out[i, 0] > 0.25 * U[i, 0] and out[i, last] - 0.5 * kinetic / out[i, 0] > 0.25 * inner:
+                break
+            share *= 0.5
+            cut += halving == 0
+    return cut
 
 
 @njit(**options)
@@ -67,7 +113,7 @@ def add_fluxes(size, active, edges, vectors, forward, backward, W, gradient, lim
         i, j = edges[e, 0], edges[e, 1]
         last = len(size) + 1
         sharp = 0.0
-        if limiter == CONTACT:
+        if len(limiter) == 6:
             sharp = contact_share(W[i, 0], W[j, 0], W[i, last], W[j, last])
         for k in range(len(size) + 2):
             d = W[j, k] - W[i, k]
@@ -78,10 +124,10 @@ def add_fluxes(size, active, edges, vectors, forward, backward, W, gradient, lim
             scale = abs(W[i, k]) + abs(W[j, k])
             left, right = slope(limiter, a, d, scale), slope(limiter, b, d, scale)
             if k == 0 and sharp > 0.0:
-                left += sharp * (slope(SUPERBEE, a, d, scale) - left)
-                right += sharp * (slope(SUPERBEE, b, d, scale) - right)
+                left += sharp * (slope((1, 1, 1, 1), a, d, scale) - left)
+                right += sharp * (slope((1, 1, 1, 1), b, d, scale) - right)
             L[k], R[k] = W[i, k] + 0.5 * left, W[j, k] - 0.5 * right
-        if not (L[0] > 0.0 and R[0] > 0.0 and L[last] > 0.0 and R[last] > 0.0):
+        if len(limiter) == 5 and not (L[0] > 0.0 and R[0] > 0.0 and L[last] > 0.0 and R[last] > 0.0):
             for k in range(len(size) + 2):  # only WENO leaves the range of the nodes
                 L[k], R[k] = W[i, k], W[j, k]
         flow = left = right = kinetic_left = kinetic_right = 0.0

@@ -6,15 +6,16 @@ implicitly: the time step is limited by the velocity of the gas and not by that 
 
 import numpy as np
 
+from fempm import checkpoint
 from fempm.parallel import Ranks
 from fempm.solver import SimulationError
 
 from . import advection, limiters
 from .boundaries import Boundaries, Periodic, check_covered
 from .gas import conserved
+from .initial import initial_state
 from .partition import Part
 from .pressure import PressureSystem, divide_by_mass
-from .initial import initial_state
 from .spaces import build_space
 
 SCHEMES = ("imex", "euler")
@@ -72,7 +73,7 @@ class Flow:
         periodic = [(c.boundary, c.other) for c in boundaries if isinstance(c, Periodic)]
         whole = build_space(mesh, pair, periodic)
         self.mesh, self.eos, self.pair, self.scheme, self.cfl = mesh, eos, pair, scheme, cfl
-        self.limiter, self.limiter_name = limiters.NAMES.index(limiter), limiter
+        self.limiter, self.limiter_name = limiters.known(limiter), limiter
         self.gravity = None if gravity is None else np.asarray(gravity, float)
         self.ranks = Ranks()
         self.part = Part(whole, self.ranks)
@@ -91,11 +92,7 @@ class Flow:
         """Work arrays, and what stays the same in all steps."""
         space, c = self.part.space, self.conditions
         n, d = space.points.shape
-        faces = np.zeros(n)
-        areas = np.linalg.norm(space.forward - space.backward, axis=1)
-        np.add.at(faces, space.edges[:, 0], areas)
-        np.add.at(faces, space.edges[:, 1], areas)
-        self.width = 2 * space.volumes / self.part.sum_nodes(faces)
+        self.width = space.volumes ** (1 / d)
         self.W, self.rate, self.gradient = np.empty((n, d + 2)), np.empty((n, d + 2)), np.empty((n, d + 2, d))
         self.needed, self.active = np.empty(n, np.uint8), np.empty(len(space.edges), np.int32)
         self.special = np.union1d(c.constrained, c.open).astype(np.int32)
@@ -129,7 +126,7 @@ class Flow:
 
     def safe_step(self, U, dt):
         """One stage of first order: states of the nodes themselves cannot carry away more than there is."""
-        return self.one_step(U, dt, "euler", limiters.FIRST_ORDER)
+        return self.one_step(U, dt, "euler", limiters.known("first_order"))
 
     def one_step(self, U, dt, scheme=None, limiter=None):
         """The conserved variables after a step."""
@@ -160,7 +157,15 @@ class Flow:
         rate, active = self.rate, self.active[:count]
         rate[:] = 0.0
         advection.add_fluxes(
-            part.size, active, s.edges, s.vectors, *graph, W, self.gradient, self.limiter if limiter is None else limiter, rate
+            part.size,
+            active,
+            s.edges,
+            s.vectors,
+            *graph,
+            W,
+            self.gradient,
+            self.limiter if limiter is None else limiter,
+            rate,
         )
         part.sum_nodes(rate)
         flow = np.sum(W[self.conditions.open, 1:-1] * self.conditions.open_area, axis=1)
@@ -168,27 +173,18 @@ class Flow:
         return rate / s.volumes[:, None]
 
     def limited(self, U, change):
-        """U + change, with the change at a node cut where its internal energy would fall below a quarter.
+        """U + change, with the change at a node cut where it would use up its internal energy.
 
         Extrapolation from one stage to the next is linear in momentum, so that kinetic energy outruns the
         total where a gas is pushed from rest or moves much faster than sound.
         """
-        new = U + change
-        for _ in range(40):
-            kinetic = 0.5 * np.sum(new[:, 1:-1] ** 2, axis=1) / new[:, 0]
-            old = U[:, -1] - 0.5 * np.sum(U[:, 1:-1] ** 2, axis=1) / U[:, 0]
-            low = ~((new[:, 0] > 0.25 * U[:, 0]) & (new[:, -1] - kinetic > 0.25 * old))
-            if not low.any():
-                break
-            self.cut += 1
-            change = np.where(low[:, None], 0.5 * change, change)
-            new = U + change
-        return new
+        out = np.empty_like(U)
+        self.cut += advection.limited_sum(U, change, out)
+        return out
 
     def implicit_pressure(self, U, dt, guess, star=None):
         """The conserved variables after the implicit pressure has acted for a time dt."""
         part, s, c, system = self.part, self.part.space, self.conditions, self.pressure_system
-        self.check_positive(U[:, :1])
         W, pressure = self.primitive(U if star is None else star)
         density, velocity = U[:, 0], U[:, 1:-1] / U[:, :1]
         if self.gravity is not None:
@@ -214,9 +210,7 @@ class Flow:
         divide_by_mass(part.size, inverse, self.special, tensors, velocity)
         velocity[c.fixed] = c.fixed_state[:, 1:-1]
         rhs = -part.divergence(velocity, np.empty(len(star)))
-        increment = system.solve(
-            dt, s.pressure_volumes / (stiff * dt), inverse, self.special, tensors, rhs
-        )
+        increment = system.solve(dt, s.pressure_volumes / (stiff * dt), inverse, self.special, tensors, rhs)
         self.iterations.append(system.iterations)
         force = part.pressure_force(increment, force)
         divide_by_mass(part.size, inverse, self.special, tensors, force)
@@ -291,31 +285,22 @@ class Flow:
         return U
 
     def primitive(self, U):
-        """Density, velocity, internal energy per volume as (n, d + 2), and the pressure (n,)."""
+        """Density, velocity, internal energy per volume as (n, d + 2), and the pressure (n,). Collective.
+
+        Raises LostPositivity on all ranks if density or internal energy is not positive somewhere.
+        """
         W = np.empty_like(U)
-        W[:, 0] = U[:, 0]
-        W[:, 1:-1] = U[:, 1:-1] / U[:, :1]
-        W[:, -1] = U[:, -1] - 0.5 * np.sum(U[:, 1:-1] * W[:, 1:-1], axis=1)
-        self.check_positive(W)
+        worst = advection.primitive(U, W)
+        (density, *_, energy), lost = W[worst], None
+        if not (density > 0 and energy > 0):
+            x = self.part.space.points[worst].round(6).tolist()
+            lost = LostPositivity(f"density {density:.6g}, internal energy {energy:.6g} at {x}")
+        self.ranks.raise_together(lost)
         return W, self.eos.pressure(W[:, 0], W[:, -1])
 
     def from_primitive(self, state):
         """Conserved variables of density, velocity and pressure (k, d + 2)."""
         return conserved(self.eos, state[:, 0], state[:, 1:-1], state[:, -1])
-
-    def check_positive(self, W):
-        """Raise LostPositivity on all ranks if density or internal energy is not positive somewhere."""
-        least = np.minimum(W[:, 0], W[:, -1])
-        worst = int(np.argmin(np.where(np.isnan(least), -np.inf, least)))
-        if self.ranks.max(int(not least[worst] > 0)):
-            x, density, energy = self.part.space.points[worst], W[worst, 0], W[worst, -1]
-            self.ranks.raise_together(
-                None
-                if least[worst] > 0
-                else LostPositivity(
-                    f"density {density:.6g}, internal energy {energy:.6g} at {x.round(6).tolist()}"
-                )
-            )
 
     def failure(self, lost):
         """The error that ends a run."""
@@ -349,9 +334,7 @@ class Flow:
         sound = np.sqrt(self.eos.bulk_modulus(W[:, 0], pressure) / W[:, 0])
         graph = s.forward, s.backward
         gradient = np.empty((*W.shape, s.dim))
-        advection.gradients(
-            part.size, s.edges, *graph, s.volumes, W, np.ones(len(W), np.uint8), gradient
-        )
+        advection.gradients(part.size, s.edges, *graph, s.volumes, W, np.ones(len(W), np.uint8), gradient)
         fields = {
             "density": W[:, 0],
             "velocity": W[:, 1:-1],
@@ -378,6 +361,40 @@ class Flow:
             "least_pressure": self.ranks.min(pressure.min()),
             "iterations": max(solves),
             "repeated": self.repeated,
+        }
+
+    def save(self, path):
+        """Write a checkpoint, an HDF5 file that is there as a whole or not at all. Collective."""
+        mine = self.part.mine
+        with checkpoint.storing(self, path, self.fingerprint()) as store:
+            store("nodes", self.part.nodes[mine])
+            store("conserved", self.U[mine])
+            store("counters", np.array([self.repeated, self.cut]) * (self.ranks.rank == 0))
+
+    def load(self, path):
+        """Take up a checkpoint of the same scene, on any number of ranks. Collective.
+
+        Raises
+        ------
+        fempm.CheckpointError, FileNotFoundError
+            on all ranks, for a file that is damaged or of another scene; nothing is changed then
+        """
+        state = checkpoint.read(self.ranks, path, self.fingerprint(), self.stored)
+        vars(self).update(state)
+
+    def stored(self, file):
+        """What a checkpoint holds for this rank: attribute -> value."""
+        whole = np.empty((len(self.part.whole.points), self.U.shape[1]))
+        whole[file["nodes"][()]] = file["conserved"][()]
+        repeated, cut = file["counters"][:2].tolist()
+        return {"U": whole[self.part.nodes], "repeated": repeated, "cut": cut, **checkpoint.clock(file)}
+
+    def fingerprint(self):
+        """What a checkpoint and the scene that goes on from it must have in common."""
+        return checkpoint.mesh_fingerprint(self.mesh) | {
+            "gas": checkpoint.describe(self.eos),
+            "scheme": f"{self.pair}, {self.scheme}, {self.limiter_name}",
+            "nodes": str(len(self.part.whole.points)),
         }
 
 

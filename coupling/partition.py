@@ -100,7 +100,7 @@ class Part:
         s = self.space
         nb, nq = s.cell_nodes.shape[1], s.cell_pressures.shape[1]
         nodes = np.tile(s.cell_nodes[:, None, :], (1, nq, 1)).ravel().astype(np.int64)
-        dofs = np.tile(s.cell_pressures[:, :, None], (1, 1, nb)).ravel()
+        dofs = np.tile(s.cell_pressures[:, :, None], (1, 1, nb)).ravel().astype(np.int64)
         keys, place = np.unique(dofs * len(s.points) + nodes, return_inverse=True)
         flat = s.coefficients.reshape(-1, s.dim)
         squares = sum(np.bincount(place.ravel(), flat[:, a], len(keys)) ** 2 for a in range(s.dim))
@@ -176,7 +176,5 @@ class Part:
         """(nq, m) means of nodal values (n, m) over the pressure functions. Collective."""
         s = self.space
         out = np.zeros((len(s.pressure_volumes), values.shape[1]))
-        pressure.add_means(
-            self.shape, s.cell_nodes, s.cell_pressures, s.weights, s.cell_volumes, values, out
-        )
+        pressure.add_means(self.shape, s.cell_nodes, s.cell_pressures, s.weights, s.cell_volumes, values, out)
         return self.sum_dofs(out) / s.pressure_volumes[:, None]

@@ -34,34 +34,62 @@ def save_checkpoint(simulation, path):
     OSError
         on all ranks, if the first one cannot write
     """
-    ranks, p = simulation.ranks, simulation.particles
-    part = Path(f"{path}.part")
-
-    def store(name, array):
-        whole = ranks.concatenate(array)
-        ranks.broadcast(lambda: append(part, name, whole))
-
-    try:
-        ranks.broadcast(lambda: begin(part, simulation))
+    p = simulation.particles
+    with storing(simulation, path, fingerprint(simulation)) as store:
+        simulation.ranks.broadcast(lambda: append(store.part, "owner", simulation.owner))
         store("counts", np.array([p.counts]))
         for name in COUNTERS:
             store(f"counters/{name}", np.array([getattr(simulation, name)]))
         for name, array in p.arrays.items():
             store(f"particles/{name}", array)
-        ranks.broadcast(lambda: os.replace(part, path))
-    finally:
-        if ranks.rank == 0:
-            part.unlink(missing_ok=True)
 
 
-def begin(path, simulation):
-    """Start the file with what all ranks have in common."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with h5py.File(path, "w", locking=False) as file:
-        file.attrs.update(format=FORMAT, version=VERSION)
-        file.attrs.update(time=simulation.time, dt=simulation.dt, steps=simulation.steps)
-        file["scene"] = json.dumps(fingerprint(simulation))
-        file["owner"] = simulation.owner
+class storing:
+    """Context that writes a checkpoint: calls with a name and each rank's array; all of it, or none. Collective.
+
+    Parameters
+    ----------
+    simulation : anything with ranks, time, dt and steps
+    path : file to write or replace
+    scene : name -> text, what a simulation that takes it up must have in common
+    """
+
+    def __init__(self, simulation, path, scene):
+        self.simulation, self.ranks, self.path, self.scene = simulation, simulation.ranks, path, scene
+        self.part = Path(f"{path}.part")
+
+    def __enter__(self):
+        try:
+            self.ranks.broadcast(self.begin)
+        except Exception:
+            self.remove()
+            raise
+        return self
+
+    def __call__(self, name, array):
+        whole = self.ranks.concatenate(array)
+        self.ranks.broadcast(lambda: append(self.part, name, whole))
+
+    def __exit__(self, kind, *exc):
+        try:
+            if kind is None:
+                self.ranks.broadcast(lambda: os.replace(self.part, self.path))
+        finally:
+            self.remove()
+
+    def begin(self):
+        """Start the file with what all ranks have in common."""
+        s = self.simulation
+        self.part.parent.mkdir(parents=True, exist_ok=True)
+        with h5py.File(self.part, "w", locking=False) as file:
+            file.attrs.update(format=FORMAT, version=VERSION)
+            file.attrs.update(time=s.time, dt=s.dt, steps=s.steps)
+            file["scene"] = json.dumps(self.scene)
+
+    def remove(self):
+        """Remove what was not finished."""
+        if self.ranks.rank == 0:
+            self.part.unlink(missing_ok=True)
 
 
 def append(path, name, array):
@@ -72,17 +100,23 @@ def append(path, name, array):
 
 def fingerprint(simulation):
     """What a checkpoint and the scene that goes on from it must have in common: name -> text."""
-    mesh, digest = simulation.mesh, hashlib.sha256()
-    digest.update(mesh.points.tobytes())
-    digest.update(mesh.cells.tobytes())
     bodies = simulation.bodies
-    return {
-        "dimension": str(mesh.dim),
-        "mesh": f"{len(mesh.cells)} cells, SHA-256 {digest.hexdigest()[:16]}",
+    return mesh_fingerprint(simulation.mesh) | {
         "bodies": ", ".join(f"{b.name!r} of {len(b.position)} particles" for b in bodies),
         "materials": ", ".join(describe(b.material) for b in bodies),
         "transfer": simulation.transfer,
         "arrays of the particles": ", ".join(sorted(simulation.particles.arrays)),
+    }
+
+
+def mesh_fingerprint(mesh):
+    """The part of a fingerprint that tells meshes apart."""
+    digest = hashlib.sha256()
+    digest.update(mesh.points.tobytes())
+    digest.update(mesh.cells.tobytes())
+    return {
+        "dimension": str(mesh.dim),
+        "mesh": f"{len(mesh.cells)} cells, SHA-256 {digest.hexdigest()[:16]}",
     }
 
 
@@ -112,55 +146,60 @@ def load_checkpoint(simulation, path):
     FileNotFoundError
         if there is no such file
     """
-    state = problem = None
+    take_up(
+        simulation, **read(simulation.ranks, path, fingerprint(simulation), lambda f: needed(simulation, f))
+    )
+
+
+def read(ranks, path, scene, needed):
+    """What `needed` returns of the open checkpoint of a scene, or CheckpointError on all ranks. Collective."""
+    found = problem = None
     try:
-        state = read(simulation, Path(path))
+        if not Path(path).is_file():
+            raise FileNotFoundError(f"checkpoint {path} does not exist")
+        with h5py.File(path, "r", locking=False) as file:
+            check(file, scene, path)
+            found = needed(file)
     except (CheckpointError, FileNotFoundError) as error:
         problem = error
-    simulation.ranks.raise_together(problem)
-    take_up(simulation, **state)
-
-
-def read(simulation, path):
-    """What this rank needs of a checkpoint, the arguments of `take_up`; the simulation is not changed."""
-    if not path.is_file():
-        raise FileNotFoundError(f"checkpoint {path} does not exist")
-    try:
-        with h5py.File(path, "r", locking=False) as file:
-            check(file, simulation, path)
-            counts = file["counts"][()]
-            owner, rows, mine = share(file, simulation, counts)
-            state = {
-                "scalars": {name: file.attrs[name].item() for name in ("time", "dt", "steps")},
-                "owner": owner,
-                "counts": mine,
-                "arrays": {},
-            }
-            for name in COUNTERS:
-                values = file[f"counters/{name}"][()]
-                state["scalars"][name] = own(values, simulation.ranks).item()
-            for name, here in simulation.particles.arrays.items():
-                stored = file[f"particles/{name}"]
-                if stored.shape != (counts.sum(), *here.shape[1:]) or stored.dtype != here.dtype:
-                    raise CheckpointError(f"{path}: particles/{name} is {stored.dtype} {stored.shape}")
-                state["arrays"][name] = stored[rows] if isinstance(rows, slice) else stored[()][rows]
-            return state
-    except CheckpointError:
-        raise
     except Exception as error:  # whatever HDF5 makes of damaged files
-        raise CheckpointError(f"{path} cannot be read as a checkpoint: {error}") from error
+        problem = CheckpointError(f"{path} cannot be read as a checkpoint: {error}")
+        problem.__cause__ = error
+    ranks.raise_together(problem)
+    return found
 
 
-def check(file, simulation, path):
+def clock(file):
+    """Time, last step and number of steps in a checkpoint, name -> number."""
+    return {name: file.attrs[name].item() for name in ("time", "dt", "steps")}
+
+
+def needed(simulation, file):
+    """What this rank needs of a checkpoint, the arguments of `take_up`; the simulation is not changed."""
+    counts = file["counts"][()]
+    owner, rows, mine = share(file, simulation, counts)
+    state = {"scalars": clock(file), "owner": owner, "counts": mine, "arrays": {}}
+    for name in COUNTERS:
+        values = file[f"counters/{name}"][()]
+        state["scalars"][name] = own(values, simulation.ranks).item()
+    for name, here in simulation.particles.arrays.items():
+        stored = file[f"particles/{name}"]
+        if stored.shape != (counts.sum(), *here.shape[1:]) or stored.dtype != here.dtype:
+            raise CheckpointError(f"{file.filename}: particles/{name} is {stored.dtype} {stored.shape}")
+        state["arrays"][name] = stored[rows] if isinstance(rows, slice) else stored[()][rows]
+    return state
+
+
+def check(file, scene, path):
     """Raise a CheckpointError unless the file is a checkpoint of this scene."""
     if file.attrs.get("format") != FORMAT:
         raise CheckpointError(f"{path} is no checkpoint of fempm")
     version = file.attrs["version"]
     if version != VERSION:
         raise CheckpointError(f"{path}: checkpoint of format version {version}, this fempm reads {VERSION}")
-    there, here = json.loads(file["scene"].asstr()[()]), fingerprint(simulation)
+    there = json.loads(file["scene"].asstr()[()])
     other = [
-        f"{name}: {there.get(name)}, here {text}" for name, text in here.items() if there.get(name) != text
+        f"{name}: {there.get(name)}, here {text}" for name, text in scene.items() if there.get(name) != text
     ]
     if other:
         raise CheckpointError(f"{path} is the checkpoint of another scene; " + "; ".join(other))

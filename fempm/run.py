@@ -9,8 +9,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from . import diagnostics
-from .checkpoint import load_checkpoint, save_checkpoint
 from .interrupt import Interrupted, StopRequests
 from .locate import LostParticles
 from .output import MeshFile, ParticleFile, Progress, TimeLog
@@ -26,7 +24,8 @@ class Record:
     ----------
     log : dict name -> (k,) array, the columns of the CSV log (see `diagnostics.summary`)
     frames : sequence of (time, positions, velocities) at the output times, particles in the order of
-        their `id`; read from the particle file when asked for, in memory where there is none
+        their `id`, or without particles of (time, fields on the vertices); read from the file when asked for,
+        in memory where there is none
     files : paths written
     """
 
@@ -54,10 +53,10 @@ def run(
 
     Parameters
     ----------
-    simulation : Simulation
+    simulation : Simulation, or `coupling.Flow`
     until : final time; steps are shortened evenly so that it and the frames are met exactly
     output : path without ending, for example "results/bar": writes particles (.xdmf), vertex fields
-        (_mesh.xdmf) and the log (.csv) beside it; nothing is written when not given
+        (_mesh.xdmf; .xdmf without particles) and the log (.csv) beside it; nothing when not given
     frames : number of output frames after the initial one, 20 when `every` is not given
     every : time between frames, which are at its multiples and at the end
     log_every : steps between rows of the log
@@ -81,7 +80,7 @@ def run(
     check_options(frames, every, log_every, dt, checkpoint_every)
     ranks, start = simulation.ranks, simulation.time
     if restart is not None:
-        load_checkpoint(simulation, restart)
+        simulation.load(restart)
     times = output_times(start, simulation.time, until, frames, every)
     record = Record()
     bar = Progress(until, done=simulation.time) if progress and ranks.rank == 0 else None
@@ -179,10 +178,13 @@ def particle_fields(simulation):
 
 
 class Frames(Sequence):
-    """Frames in a particle file, (time, positions, velocities) each, read when they are asked for."""
+    """Frames in a file, read when they are asked for.
 
-    def __init__(self, path, dim, times):
-        self.path, self.dim, self.times = path, dim, times
+    Of particles (time, positions, velocities) each; without particles (time, fields), a dict.
+    """
+
+    def __init__(self, path, dim, times, particles):
+        self.path, self.dim, self.times, self.particles = path, dim, times, particles
 
     def __len__(self):
         return len(self.times)
@@ -192,6 +194,10 @@ class Frames(Sequence):
             return [self[i] for i in range(len(self))[k]]
         k = range(len(self))[k]
         with h5py.File(self.path, "r") as file:  # locked as a file that the caller may have open, too
+            if not self.particles:
+                fields = {name: field[()] for name, field in file[f"{k}/Node"].items()}
+                fields["velocity"] = fields["velocity"][:, : self.dim]
+                return self.times[k], fields
             x, v = (file[f"{k}/{name}"][:, : self.dim] for name in ("points", "Node/velocity"))
         return self.times[k], x, v
 
@@ -204,31 +210,33 @@ class Output:
 
     def __init__(self, simulation, path, record, watch, resume):
         self.simulation, self.path, self.record, self.watch = simulation, path, record, watch
-        self.writers = ()
+        self.with_particles = simulation.particles is not None
+        self.series = self.log = None
         if path is None:
             return
-        record.files = [Path(f"{path}{end}") for end in (".xdmf", "_mesh.xdmf", ".csv")]
+        endings = (".xdmf", "_mesh.xdmf", ".csv") if self.with_particles else (".xdmf", ".csv")
+        record.files = [Path(f"{path}{end}") for end in endings]
         times, record.log = simulation.ranks.broadcast(lambda: self.open(resume))
-        record.frames = Frames(record.files[0].with_suffix(".h5"), simulation.mesh.dim, times)
+        first = record.files[0].with_suffix(".h5")
+        record.frames = Frames(first, simulation.mesh.dim, times, self.with_particles)
 
     def __enter__(self):
         return self
 
     def __exit__(self, *exc):
-        for writer in self.writers:
-            writer.close()
+        for writer in (*(self.series or ()), self.log):
+            if writer is not None:
+                writer.close()
 
     def open(self, resume):
         """Open the files; returns the times of the frames and the log that are kept of older ones."""
-        s, (particles, mesh, log) = self.simulation, self.record.files
+        s, (*particles, mesh, log) = self.simulation, self.record.files
         # what belongs to the very time of the checkpoint is written again
         time, step = (s.time, s.steps) if resume else (-np.inf, None)
-        self.writers = (
-            ParticleFile(particles, keep_before=time),
-            MeshFile(mesh, s.mesh.points, s.mesh.cells, keep_before=time),
-            TimeLog(log, keep_before=step),
-        )
-        return list(self.writers[0].times), self.writers[2].columns
+        self.series = [ParticleFile(path, keep_before=time) for path in particles]
+        self.series.append(MeshFile(mesh, s.mesh.points, s.mesh.cells, keep_before=time))
+        self.log = TimeLog(log, keep_before=step)
+        return list(self.series[0].times), self.log.columns
 
     def beside(self, ending):
         """Path of a further file of this run."""
@@ -237,15 +245,19 @@ class Output:
     def frame(self):
         """Write a frame of particles and vertex fields, or keep it."""
         s, frames = self.simulation, self.record.frames
-        position = s.gather("position")
-        if self.path is None:
-            frames.append((s.time, position, s.gather("velocity")))
+        if self.path is None and self.with_particles:
+            frames.append((s.time, s.gather("position"), s.gather("velocity")))
             return
-        fields, on_vertices = particle_fields(s), s.vertex_fields()
+        on_vertices = s.vertex_fields()
+        if self.path is None:
+            frames.append((s.time, on_vertices))
+            return
+        position, fields = self.particles()
 
         def write():
-            self.writers[0].write(s.time, position, **fields)
-            self.writers[1].write(s.time, **on_vertices)
+            if self.with_particles:
+                self.series[0].write(s.time, position, **fields)
+            self.series[-1].write(s.time, **on_vertices)
 
         s.ranks.broadcast(write)
         frames.times.append(s.time)
@@ -253,22 +265,33 @@ class Output:
     def row(self):
         """Add a row to the log in memory and on disk."""
         s = self.simulation
-        row = diagnostics.summary(s)
+        row = s.summary()
         if self.watch is not None:
             row |= self.watch(s)
         for name, value in row.items():
             self.record.log.setdefault(name, []).append(value)
         if self.path is not None:
-            s.ranks.broadcast(lambda: self.writers[2].write(s.steps, **row))
+            s.ranks.broadcast(lambda: self.log.write(s.steps, **row))
+
+    def particles(self):
+        """Positions and fields of the particles, None where there are none. Collective."""
+        if not self.with_particles:
+            return None, None
+        return self.simulation.gather("position"), particle_fields(self.simulation)
 
     def last_state(self):
-        """Write the particles of a failed run to a file of their own; returns its path."""
+        """Write the state of a failed run to a file of its own; returns its path."""
         s, path = self.simulation, self.beside("_last.xdmf")
-        position, fields = s.gather("position"), particle_fields(s)
+        position, fields = self.particles()
+        on_vertices = None if self.with_particles else s.vertex_fields()
 
         def write():
-            with ParticleFile(path) as last:
-                last.write(s.time, position, **fields)
+            if self.with_particles:
+                with ParticleFile(path) as last:
+                    last.write(s.time, position, **fields)
+            else:
+                with MeshFile(path, s.mesh.points, s.mesh.cells) as last:
+                    last.write(s.time, **on_vertices)
 
         s.ranks.broadcast(write)
         return path
@@ -288,7 +311,7 @@ class Checkpoints:
         due = time.monotonic() >= self.due or (at_end and self.every is not None)
         wish = s.ranks.max(2 if self.stop.received else int(due))
         if wish:
-            save_checkpoint(s, self.path)
+            s.save(self.path)
             self.due = np.inf if self.every is None else time.monotonic() + self.every
         if wish == 2:
             raise Interrupted(self.path, s.time, s.steps)

@@ -4,7 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from . import boundaries, consistency, diagnostics, grid, locate, time_step, transfer
+from . import boundaries, checkpoint, consistency, diagnostics, grid, locate, time_step, transfer
 from .contact import Contact, Obstacle
 from .f_bar import average_jacobian
 from .kernel import build_kernel, check_cells
@@ -364,6 +364,18 @@ class Simulation:
         out = np.empty_like(field)
         out[number] = field
         return out
+
+    def summary(self):
+        """Energies and momenta now, the columns of a run's log. Collective."""
+        return diagnostics.summary(self)
+
+    def save(self, path):
+        """Write a checkpoint, see `checkpoint.save_checkpoint`. Collective."""
+        checkpoint.save_checkpoint(self, path)
+
+    def load(self, path):
+        """Take up a checkpoint, see `checkpoint.load_checkpoint`. Collective."""
+        checkpoint.load_checkpoint(self, path)
 
     def active_parts(self):
         """Which parts of the method this scene uses: name -> whether it costs anything."""

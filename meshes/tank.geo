@@ -1,11 +1,12 @@
-// Rectangular tank of width W and height H, its lower left corner at (x0, 0), irregular inside.
+// Rectangular tank of width W and height H, its lower left corner at (x0, y0), irregular inside.
 SetFactory("OpenCASCADE");
 DefineConstant[h = 0.1];
 DefineConstant[W = 2];
 DefineConstant[H = 1];
 DefineConstant[x0 = 0];
+DefineConstant[y0 = 0];
 
-Rectangle(1) = {x0, 0, 0, W, H};
+Rectangle(1) = {x0, y0, 0, W, H};
 
 Physical Curve("bottom") = {1};
 Physical Curve("right") = {2};
