@@ -135,12 +135,8 @@ class Boundaries:
             area += part
             nodes = np.any(part != 0, axis=1)
             rate[nodes] = condition.attenuation
-            columns = (
-                (condition.density, 0),
-                (condition.pressure, d + 1),
-                (condition.velocity, slice(1, d + 1)),
-            )
-            for value, column in columns:
+            state = condition.density, condition.velocity, condition.pressure
+            for value, column in zip(state, (0, slice(1, d + 1), d + 1)):
                 if value is not None:
                     far[nodes, column] = value
         area[self.fixed] = 0
@@ -178,13 +174,9 @@ def inflow_state(condition, areas, eos):
         velocity = np.broadcast_to(np.asarray(condition.velocity, float).reshape(-1), (len(areas), d))
     mach = np.sum(velocity * inward, axis=1) / sound
     if condition.supersonic and not np.all(mach >= 1):
-        raise ValueError(
-            f"{name}: it comes in at Mach {mach.min():.4g}; below 1 use SubsonicInflow or Outflow"
-        )
+        raise ValueError(f"{name}: Mach {mach.min():.4g} is subsonic, use SubsonicInflow or Outflow")
     if not condition.supersonic and not np.all((mach < 1) & (mach > 0)):
-        raise ValueError(
-            f"{name}: it comes in at Mach {mach.max():.4g}; SubsonicInflow is for 0 to 1, use Inflow"
-        )
+        raise ValueError(f"{name}: Mach {mach.max():.4g} is not between 0 and 1, use Inflow")
     return np.concatenate(
         [np.full((len(areas), 1), density), velocity, np.full((len(areas), 1), pressure)], 1
     )

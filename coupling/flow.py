@@ -228,7 +228,7 @@ class Flow:
         return U
 
     def outflow_of(self, velocity, values=None):
-        """div (values u) at the nodes, from the mean velocity and value of each edge; values are 1 if not given."""
+        """div (values u) at the nodes, central on each edge; values are 1 if not given. Collective."""
         s, c, out = self.part.space, self.conditions, np.zeros(len(velocity))
         advection.add_outflow(self.part.size, s.edges, s.forward, s.backward, velocity, values, out)
         self.part.sum_nodes(out)

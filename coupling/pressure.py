@@ -81,7 +81,7 @@ def add_means(shape, nodes, dofs, weights, volumes, values, out):
 
 @njit(**options)
 def divide_by_mass(size, inverse, special, tensors, force):
-    """Make the force (n, d) a velocity: `inverse` (n,) of the mass, `tensors` (k, d, d) at nodes `special`."""
+    """Make a force (n, d) a velocity: `inverse` (n,) of the mass, `tensors` (k, d, d) at `special` nodes."""
     x = np.empty(len(size))
     for k in range(len(special)):
         i = special[k]

@@ -45,7 +45,7 @@ def save_checkpoint(simulation, path):
 
 
 class storing:
-    """Context that writes a checkpoint: calls with a name and each rank's array; all of it, or none. Collective.
+    """Context that writes a checkpoint, all of it or none: call it with a name and each rank's array.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def load_checkpoint(simulation, path):
 
 
 def read(ranks, path, scene, needed):
-    """What `needed` returns of the open checkpoint of a scene, or CheckpointError on all ranks. Collective."""
+    """What `needed` returns of the open checkpoint of a scene, CheckpointError on all ranks. Collective."""
     found = problem = None
     try:
         if not Path(path).is_file():
