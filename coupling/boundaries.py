@@ -89,7 +89,8 @@ class Boundaries:
     ----------
     constrained : (k,) nodes with a condition on their velocity
     project : (k, d, d) projections onto its free directions, zero at inflows
-    fixed : (f,) nodes at inflows; fixed_state : (f, d + 2) their density, velocity and pressure
+    fixed : (f,) nodes at inflows; fixed_state : (f, d + 2) their density, velocity and pressure;
+        fixed_normal : (f, d) outward there
     floating : (f,) bool, the subsonic ones, whose pressure is that inside
     open : (m,) nodes at outflows; open_area : (m, d) int phi_i n there; far : (m, d + 2) the far
         density, velocity and pressure; attenuation : (m,)
@@ -113,12 +114,14 @@ class Boundaries:
                 area = boundary_areas(mesh, space, f)
                 nodes = np.flatnonzero(np.any(area != 0, axis=1))
                 state = inflow_state(condition, area[nodes], eos)
-                inflows |= {i: (s, not condition.supersonic) for i, s in zip(nodes.tolist(), state)}
+                rows = zip(nodes.tolist(), state, area[nodes])
+                inflows |= {i: (s, not condition.supersonic, a / np.linalg.norm(a)) for i, s, a in rows}
             else:
                 outflows.append((condition, boundary_areas(mesh, space, f)))
         self.fixed = np.array(sorted(inflows), int)
         self.fixed_state = np.array([inflows[i][0] for i in self.fixed]).reshape(-1, d + 2)
         self.floating = np.array([inflows[i][1] for i in self.fixed], bool)
+        self.fixed_normal = np.array([inflows[i][2] for i in self.fixed]).reshape(-1, d)
         walls = np.concatenate([np.empty((0, d), int), *walls])
         normals = wall_normals(mesh, space, walls)
         zero = {i: np.zeros((d, d)) for i in inflows}
@@ -147,7 +150,7 @@ class Boundaries:
         """Keep only the conditions at these nodes (sorted), numbered by their place among them."""
         for index, columns in (
             ("constrained", ("project",)),
-            ("fixed", ("fixed_state", "floating")),
+            ("fixed", ("fixed_state", "fixed_normal", "floating")),
             ("open", ("open_area", "far", "attenuation")),
         ):
             kept = np.isin(getattr(self, index), nodes)

@@ -42,23 +42,17 @@ class IdealGas:
 
 
 def conserved(eos, density, velocity, pressure):
-    """Conserved variables (n, d + 2): density, momentum, total energy per volume.
-
-    Parameters
-    ----------
-    eos : equation of state
-    density, pressure : (n,), positive
-    velocity : (n, d)
-
-    Raises
-    ------
-    ValueError
-        for a density or a sound speed that is not positive
-    """
-    for name, value in (("density", density), ("pressure", eos.bulk_modulus(density, pressure))):
-        bad = np.flatnonzero(~(np.asarray(value) > 0))
-        if len(bad):
-            given = {"density": density, "pressure": pressure}[name]
-            raise ValueError(f"{name} of the gas must be positive, got {np.asarray(given)[bad[0]]}")
+    """Density, momentum and total energy per volume (n, d + 2) of (n,), (n, d) and (n,)."""
     energy = eos.internal_energy(density, pressure) + 0.5 * density * np.sum(velocity**2, axis=1)
     return np.concatenate([density[:, None], density[:, None] * velocity, energy[:, None]], axis=1)
+
+
+def check_state(eos, density, pressure):
+    """Raise a ValueError with the value of a density or sound speed that is not positive."""
+    for name, given, value in (
+        ("density", density, density),
+        ("pressure", pressure, eos.bulk_modulus(density, pressure)),
+    ):
+        bad = np.flatnonzero(~(value > 0))
+        if len(bad):
+            raise ValueError(f"{name} of the gas must be positive, got {given[bad[0]]}")

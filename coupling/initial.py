@@ -4,7 +4,7 @@ from itertools import product
 
 import numpy as np
 
-from .gas import conserved
+from .gas import check_state, conserved
 from .spaces import bernstein
 
 JUMP = 0.1  # relative difference within a cell from which it is sampled
@@ -28,7 +28,7 @@ def initial_state(mesh, space, eos, initial):
     ValueError
         where density or pressure is not positive
     """
-    at_nodes = evaluate(space.points, initial)
+    at_nodes = evaluate(eos, space.points, initial)
     U = to_conserved(eos, at_nodes)
     cells = crossed_cells(space, eos, at_nodes)
     if len(cells) == 0:
@@ -42,7 +42,7 @@ def initial_state(mesh, space, eos, initial):
     U *= total[:, None]
     for some in np.array_split(cells, 1 + len(cells) // 10000):
         x = np.einsum("sa,cad->csd", coordinates, mesh.points[mesh.cells[some]])
-        there = to_conserved(eos, evaluate(x.reshape(-1, space.dim), initial)).reshape(*x.shape[:2], -1)
+        there = to_conserved(eos, evaluate(eos, x.reshape(-1, space.dim), initial)).reshape(*x.shape[:2], -1)
         volumes = space.cell_volumes[some]
         np.add.at(U, space.cell_nodes[some], np.einsum("c,sb,csk->cbk", volumes, share, there))
         np.add.at(total, space.cell_nodes[some], volumes[:, None] * share.sum(axis=0))
@@ -55,10 +55,11 @@ def initial_state(mesh, space, eos, initial):
     return at_nodes
 
 
-def evaluate(points, initial):
+def evaluate(eos, points, initial):
     """(n, d + 2) density, velocity and pressure at points."""
     state = np.empty((len(points), points.shape[1] + 2))
     state[:, 0], state[:, 1:-1], state[:, -1] = initial(points)
+    check_state(eos, state[:, 0], state[:, -1])
     return state
 
 

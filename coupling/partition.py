@@ -172,9 +172,10 @@ class Part:
         )
         return self.sum_nodes(out)
 
-    def means(self, values):
-        """(nq, m) means of nodal values (n, m) over the pressure functions. Collective."""
-        s = self.space
-        out = np.zeros((len(s.pressure_volumes), values.shape[1]))
-        pressure.add_means(self.shape, s.cell_nodes, s.cell_pressures, s.weights, s.cell_volumes, values, out)
-        return self.sum_dofs(out) / s.pressure_volumes[:, None]
+    def means(self, density, first, second):
+        """(nq,) mass-weighted means of two nodal fields (n,) over the pressure functions. Collective."""
+        s, out = self.space, np.zeros((len(self.dofs), 3))
+        lists = s.cell_nodes, s.cell_pressures
+        pressure.add_means(self.shape, *lists, s.weights, s.cell_volumes, density, first, second, out)
+        mass, one, other = self.sum_dofs(out).T
+        return one / mass, other / mass

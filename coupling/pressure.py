@@ -67,16 +67,55 @@ def add_work(shape, nodes, dofs, coefficients, weights, pressure, velocity, out)
 
 
 @njit(**options)
-def add_means(shape, nodes, dofs, weights, volumes, values, out):
-    """Add to `out` (nq, m) the integrals of nodal values (n, m) against the pressure functions."""
+def add_means(shape, nodes, dofs, weights, volumes, density, first, second, out):
+    """Add to `out` (nq, 3) the integrals of rho, rho times `first` and rho times `second` (n,) each."""
     per_cell, corners, _ = shape
     for c in range(len(nodes)):
         for q in range(len(per_cell)):
-            for k in range(values.shape[1]):
-                mean = 0.0
-                for b in range(len(corners)):
-                    mean += weights[q, b] * values[nodes[c, b], k]
-                out[dofs[c, q], k] += mean * volumes[c] / len(per_cell)
+            mass = one = other = 0.0
+            for b in range(len(corners)):
+                i = nodes[c, b]
+                share = weights[q, b] * density[i]
+                mass += share
+                one += share * first[i]
+                other += share * second[i]
+            volume = volumes[c] / len(per_cell)
+            out[dofs[c, q], 0] += mass * volume
+            out[dofs[c, q], 1] += one * volume
+            out[dofs[c, q], 2] += other * volume
+
+
+@njit(**options)
+def before_solve(size, U, pressure, carried, expansion, shock, dt, volumes, gravity, velocity, inverse, star):
+    """Velocity, 1 / (m rho) and P* at the nodes; `expansion` (n,) is m div u of the advection.
+
+    What advection has compressed comes off the pressure again, since the implicit part acts on all of
+    rho c^2 div u. Not in shocks: there, counting the compression twice is the bulk viscosity that they need.
+    """
+    for i in range(len(U)):
+        inverse[i] = 1.0 / (volumes[i] * U[i, 0])
+        for a in range(len(size)):
+            velocity[i, a] = U[i, 1 + a] / U[i, 0]
+            if gravity is not None:
+                velocity[i, a] += dt * gravity[a]
+        step = dt * expansion[i] / volumes[i]
+        smooth = 1.0 / (1.0 + (min(step, 0.0) / shock) ** 2)
+        star[i] = pressure[i] + carried[i] * step * smooth
+        if not star[i] > 0.25 * pressure[i]:
+            star[i] = pressure[i]
+
+
+@njit(**options)
+def after_solve(size, velocity, work, outflow, dt, volumes, gravity, U, out):
+    """Conserved variables `out` from those before, U, the new velocity, and work - outflow on the energy."""
+    for i in range(len(U)):
+        energy = U[i, len(size) + 1] + dt * (work[i] - outflow[i]) / volumes[i]
+        for a in range(len(size)):
+            out[i, 1 + a] = U[i, 0] * velocity[i, a]
+            if gravity is not None:
+                energy += dt * out[i, 1 + a] * gravity[a]
+        out[i, 0] = U[i, 0]
+        out[i, len(size) + 1] = energy
 
 
 @njit(**options)

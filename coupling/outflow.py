@@ -1,0 +1,105 @@
+"""Open ends: waves leave, and what comes in decays to the far state (thesis 3.2.9, Kwatra et al. 2009)."""
+
+import numpy as np
+
+
+class OpenEnds:
+    """The nodes at outflows.
+
+    The pressure there is p + Z (u - u_inside) . n, that of the wave which leaves: p and u_inside are those of
+    the cells inside at the beginning of a step, Z = rho c the impedance, u the unknown velocity of the node.
+
+    Parameters
+    ----------
+    part : Part, the space of this rank
+    conditions : Boundaries, restricted to it
+    eos : equation of state
+
+    Attributes
+    ----------
+    nodes : (m,) their numbers
+    area : (m, d) int phi_i n, of length `size` and direction `normal`
+    impedance, carried : (m,) Z, and p - Z u_inside . n, in the present step
+    """
+
+    def __init__(self, part, conditions, eos):
+        self.part, self.eos = part, eos
+        self.nodes, self.area, self.far = conditions.open, conditions.open_area, conditions.far
+        self.attenuation = conditions.attenuation
+        self.size = np.linalg.norm(self.area, axis=1)
+        self.normal = self.area / np.maximum(self.size, 1e-300)[:, None]
+        self.inside = Inside(part, self.nodes, self.normal)
+
+    def begin_step(self, W, pressure):
+        """Look at the gas inside: W (n, d + 2) its density, velocity and internal energy."""
+        density = np.ascontiguousarray(W[:, 0])
+        fields = np.ascontiguousarray(np.stack([pressure, *W[:, :-1].T]))
+        p, density, *velocity = self.inside.values(density, fields)
+        self.impedance = np.sqrt(self.eos.bulk_modulus(density, p) * density)
+        self.carried = p - self.impedance * np.sum(np.array(velocity).T * self.normal, axis=1)
+
+    def mobility(self, free, ratio):
+        """(m, d, d) inverse of 1 + ratio n n^T on the directions that `free` (m, d, d) projects onto."""
+        normal = np.einsum("kab,kb->ka", free, self.normal)
+        share = ratio / (1 + ratio * np.sum(normal**2, axis=1))
+        return free - share[:, None, None] * normal[:, :, None] * normal[:, None, :]
+
+    def power(self, velocity):
+        """(m,) work of the gas on what is outside, per time."""
+        through = np.sum(velocity[self.nodes] * self.normal, axis=1)
+        return (self.carried + self.impedance * through) * through * self.size
+
+    def attenuate(self, W, pressure, dt):
+        """(m, d + 2) density, velocity and pressure, what incoming waves carry damped towards the far state.
+
+        The waves are those of the linear equations around the present state: p' + Z u' . n leaves as long
+        as u . n > -c, p' - Z u' . n comes in unless u . n > c, entropy and the flow along the end go with u.
+        """
+        density, velocity, pressure = W[self.nodes, 0], W[self.nodes, 1:-1], pressure[self.nodes]
+        sound = np.sqrt(self.eos.bulk_modulus(density, pressure) / density)
+        impedance, decay = density * sound, np.exp(-self.attenuation * dt)
+        speed = np.sum(velocity * self.normal, axis=1)
+        apart, drift = pressure - self.far[:, -1], velocity - self.far[:, 1:-1]
+        across = np.sum(drift * self.normal, axis=1)
+        outgoing = (apart + impedance * across) * np.where(speed > -sound, 1, decay)
+        incoming = (apart - impedance * across) * np.where(speed < sound, decay, 1)
+        convected = np.where(speed < 0, decay, 1)
+        entropy = (density - self.far[:, 0] - apart / sound**2) * convected
+        along = (drift - across[:, None] * self.normal) * convected[:, None]
+        apart = (outgoing + incoming) / 2
+        state = np.empty((len(self.nodes), W.shape[1]))
+        state[:, 0] = self.far[:, 0] + entropy + apart / sound**2
+        state[:, 1:-1] = self.far[:, 1:-1] + along
+        state[:, 1:-1] += ((outgoing - incoming) / (2 * impedance))[:, None] * self.normal
+        state[:, -1] = self.far[:, -1] + apart
+        return state
+
+
+class Inside:
+    """Means just inside of some nodes of the boundary, with the weights of the force that pressure has on them.
+
+    Parameters
+    ----------
+    part : Part
+    nodes : (m,) their numbers
+    normal : (m, d) outward directions
+    """
+
+    def __init__(self, part, nodes, normal):
+        self.part, self.nodes = part, nodes
+        cells, corner = np.nonzero(np.isin(part.space.cell_nodes, nodes))
+        self.row = np.searchsorted(nodes, part.space.cell_nodes[cells, corner])
+        self.dofs = part.space.cell_pressures[cells]
+        force = part.space.coefficients[cells, :, corner]
+        self.share = np.einsum("kqa,ka->kq", force, normal[self.row])
+        self.share /= self.sums(np.ones((1, len(part.dofs))))[0][self.row][:, None]
+
+    def sums(self, values):
+        """(k, m) sums of values (k, nq) with the shares. Collective."""
+        out = np.zeros((len(self.part.nodes), len(values)))
+        np.add.at(out, self.nodes[self.row], np.einsum("xkq,kq->kx", values[:, self.dofs], self.share))
+        return self.part.sum_nodes(out)[self.nodes].T
+
+    def values(self, density, fields):
+        """(k, m) mass-weighted means of nodal fields (k, n). Collective."""
+        return self.sums(np.array([self.part.means(density, f, f)[0] for f in fields]))

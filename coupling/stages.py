@@ -1,0 +1,186 @@
+"""The two parts that the stages of a step are made of: explicit advection and implicit pressure.
+
+All of the sound is implicit: the pressure solve acts on rho c^2 div u, and what the energy gained from
+the compression in the advection is exchanged for that of the new velocity, with the same central fluxes.
+So the pressure of the solve is the one that the energy has afterwards, up to the second order, and the
+time step knows no speed of sound. The thesis (3.2.5) and Kwatra et al. 2009 leave the compression in the
+advection, which is of first order in time.
+"""
+
+import numpy as np
+
+from . import advection, pressure
+from .gas import conserved
+from .outflow import Inside, OpenEnds
+
+STILL = 1e-9  # gas slower than this share of the speed of sound carries nothing
+SHOCK = 0.003  # compression in one step from which a wave counts as a shock
+
+
+class LostPositivity(ArithmeticError):
+    """Density or internal energy that is not positive."""
+
+
+class Stages:
+    """Advection and pressure on the nodes of one rank.
+
+    Parameters
+    ----------
+    part : Part, the space of this rank
+    eos : equation of state
+    conditions : Boundaries, restricted to it
+    limiter : tuple, see `limiters.known`
+    gravity : (d,) acceleration, or None
+
+    Attributes
+    ----------
+    iterations : of each pressure solve
+    cut : nodes at which an extrapolation between stages was shortened, see `limited`
+    """
+
+    def __init__(self, part, eos, conditions, limiter, gravity):
+        self.part, self.eos, self.limiter, self.gravity = part, eos, limiter, gravity
+        self.system = pressure.PressureSystem(part)
+        self.iterations, self.cut = [], 0
+        n, d = part.space.points.shape
+        self.gradient, self.active = np.empty((n, d + 2, d)), np.empty(len(part.space.edges), np.int32)
+        self.needed = np.empty(n, np.uint8)
+        self.fixed, self.floating = conditions.fixed, np.flatnonzero(conditions.floating)
+        self.fixed_state = conditions.fixed_state
+        self.beside = Inside(part, self.fixed, conditions.fixed_normal)
+        self.open = OpenEnds(part, conditions, eos)
+        self.any_open, self.any_floating = (
+            part.ranks.max(len(k)) > 0 for k in (self.open.nodes, self.floating)
+        )
+        self.special = np.union1d(conditions.constrained, conditions.open).astype(np.int32)
+        self.free = np.broadcast_to(np.eye(d), (len(self.special), d, d)).copy()
+        self.free[np.searchsorted(self.special, conditions.constrained)] = conditions.project
+        self.open_special = np.searchsorted(self.special, conditions.open)
+
+    def begin_step(self, U):
+        """Look at the gas inside of open ends."""
+        if self.any_open:
+            self.open.begin_step(*self.primitive(U))
+
+    def advection(self, U, limiter=None):
+        """Rate of change (n, d + 2) of the conserved variables by transport with the gas. Collective."""
+        s, part, ends = self.part.space, self.part, self.open
+        W, p = self.primitive(U)
+        sound = np.sqrt(self.eos.bulk_modulus(W[:, 0], p) / W[:, 0])
+        active = self.active[: advection.active_edges(s.edges, W, STILL * sound, self.active, self.needed)]
+        part.sum_nodes(self.needed)
+        graph = s.forward, s.backward
+        advection.gradients(part.size, s.edges, *graph, s.volumes, W, self.needed, self.gradient)
+        part.sum_nodes(self.gradient)
+        rate = np.zeros_like(U)
+        chosen = self.limiter if limiter is None else limiter
+        advection.add_fluxes(part.size, active, s.edges, s.vectors, *graph, W, self.gradient, chosen, rate)
+        part.sum_nodes(rate)
+        rate[ends.nodes] -= np.sum(W[ends.nodes, 1:-1] * ends.area, axis=1)[:, None] * U[ends.nodes]
+        rate /= s.volumes[:, None]
+        return rate
+
+    def limited(self, U, change):
+        """U + change, with the change at a node cut where it would use up its internal energy.
+
+        Extrapolation from one stage to the next is linear in momentum, so that kinetic energy outruns the
+        total where a gas is pushed from rest or moves much faster than sound.
+        """
+        out = np.empty_like(U)
+        self.cut += advection.limited_sum(U, change, out)
+        return out
+
+    def implicit_pressure(self, U, dt, advected, star=None):
+        """The conserved variables after the implicit pressure has acted for a time dt. Collective.
+
+        Parameters
+        ----------
+        U : (n, d + 2) conserved variables after the explicit part
+        dt : length of the stage
+        advected : state whose velocity the advection of this stage had
+        star : state whose pressure is linearised about, U itself when not given
+        """
+        part, s, ends = self.part, self.part.space, self.open
+        W, p = self.primitive(U if star is None else star)
+        bulk = self.eos.bulk_modulus(W[:, 0], p)
+        carried = bulk - self.eos.heating(W[:, 0], p) * p
+        before = advected[:, 1:-1] / advected[:, :1]
+        velocity, inverse, around = np.empty_like(s.points), np.empty(len(U)), np.empty(len(U))
+        expansion = self.outflow_of(before)
+        volumes, gravity = s.volumes, self.gravity
+        pressure.before_solve(
+            part.size, U, p, carried, expansion, SHOCK, dt, volumes, gravity, velocity, inverse, around
+        )
+        tensors = self.free.copy()
+        if len(ends.nodes):
+            ratio = dt * ends.impedance * ends.size * inverse[ends.nodes]
+            tensors[self.open_special] = ends.mobility(tensors[self.open_special], ratio)
+        mass = inverse, self.special, tensors
+
+        # means over the mass of a cell, not its volume: rarefactions that begin at a jump lag less behind
+        star, stiff = part.means(np.ascontiguousarray(U[:, 0]), around, bulk)
+        force = part.pressure_force(star, np.empty_like(velocity))
+        if len(ends.nodes):
+            force[ends.nodes] -= ends.carried[:, None] * ends.area
+        velocity /= inverse[:, None]
+        velocity += dt * force
+        pressure.divide_by_mass(part.size, *mass, velocity)
+        velocity[self.fixed] = self.fixed_state[:, 1:-1]
+        rhs = -part.divergence(velocity, np.empty(len(star)))
+        increment = self.system.solve(dt, s.pressure_volumes / (stiff * dt), *mass, rhs)
+        self.iterations.append(self.system.iterations)
+        force = part.pressure_force(increment, force)
+        pressure.divide_by_mass(part.size, *mass, force)
+        velocity += dt * force
+
+        work = part.work(star + increment, velocity)
+        if len(ends.nodes):
+            work[ends.nodes] -= ends.power(velocity)
+        outflow = self.outflow_of(velocity - before, np.ascontiguousarray(W[:, -1]))
+        out = np.empty_like(U)
+        pressure.after_solve(part.size, velocity, work, outflow, dt, volumes, gravity, U, out)
+        out[self.fixed] = self.inflow_state(U, p)
+        return out
+
+    def outflow_of(self, velocity, values=None):
+        """m_i div (values u), central on each edge; values (n,) are 1 if not given. Collective."""
+        s, ends, out = self.part.space, self.open, np.zeros(len(velocity))
+        advection.add_outflow(self.part.size, s.edges, s.forward, s.backward, velocity, values, out)
+        self.part.sum_nodes(out)
+        through = np.sum(velocity[ends.nodes] * ends.area, axis=1)
+        out[ends.nodes] += through if values is None else through * values[ends.nodes]
+        return out
+
+    def inflow_state(self, U, pressure):
+        """(f, d + 2) conserved variables at inflows; the pressure of subsonic ones is that inside."""
+        state = self.fixed_state
+        if self.any_floating:
+            state = state.copy()
+            state[self.floating, -1] = self.beside.values(np.ascontiguousarray(U[:, 0]), pressure[None])[0][
+                self.floating
+            ]
+        return self.from_primitive(state)
+
+    def attenuate(self, U, dt):
+        """Damp what incoming waves carry at open ends. Collective."""
+        if self.any_open:
+            U[self.open.nodes] = self.from_primitive(self.open.attenuate(*self.primitive(U), dt))
+        return U
+
+    def primitive(self, U):
+        """Density, velocity, internal energy per volume as (n, d + 2), and the pressure (n,). Collective.
+
+        Raises LostPositivity on all ranks if density or internal energy is not positive somewhere.
+        """
+        W = np.empty_like(U)
+        worst = advection.primitive(U, W)
+        (density, *_, energy), lost = W[worst], None
+        if not (density > 0 and energy > 0):
+            x = self.part.space.points[worst].round(6).tolist()
+            lost = LostPositivity(f"density {density:.6g}, internal energy {energy:.6g} at {x}")
+        self.part.ranks.raise_together(lost)
+        return W, self.eos.pressure(W[:, 0], W[:, -1])
+
+    def from_primitive(self, state):
+        """Conserved variables of density, velocity and pressure (k, d + 2)."""
+        return conserved(self.eos, state[:, 0], state[:, 1:-1], state[:, -1])
