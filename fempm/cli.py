@@ -7,27 +7,32 @@ from pathlib import Path
 
 from .parallel import Ranks
 
+PETSC = ("-ksp_", "-pc_")
 
-def scene_arguments(description, argv=None, *, until, every=None, **options):
+
+def scene_arguments(description, argv=None, *, until, every=None, threads=True, **options):
     """Parse the command line of a scene; from here on only the first of several MPI ranks prints.
 
     Parameters
     ----------
     description : what the scene shows
-    argv : arguments, those of the program when not given
-    until : default end of the run
+    argv : arguments, those of the program when not given; PETSc's options (-ksp_..., -pc_...) among them
+        are left to the pressure solver of a gas
+    until : default end of the run, None where the scene has its own
     every : default time between output frames, a twentieth of the run when not given
+    threads : whether there is an option for the threads of the transfers; not where there are no particles
     options : name -> (default, help text), further options; a tuple default lists the choices, the
         first one being the default
 
     Returns
     -------
     argparse.Namespace
-        with the given options, those for `run_options`, and `threads`
+        with the given options, those for `run_options`, and perhaps `threads`
     """
     if Ranks().rank > 0:
         sys.stdout = open(os.devnull, "w")
-    parser = argparse.ArgumentParser(description=description)
+    more = None if threads else "Options of PETSc, such as -ksp_monitor, go to the solver of the pressure."
+    parser = argparse.ArgumentParser(description=description, epilog=more)
 
     def add(name, default, text, **kind):
         text += "" if default is None or default is False else " (default: %(default)s)"
@@ -40,7 +45,7 @@ def scene_arguments(description, argv=None, *, until, every=None, **options):
             add(name, default, text, action="store_true")
         else:
             add(name, default, text, type=type(default))
-    add("until", float(until), "end of the run in s", type=float)
+    add("until", None if until is None else float(until), "end of the run in s", type=float)
     text = "time between output frames in s" + (
         ", a twentieth of the run by default" if every is None else ""
     )
@@ -50,8 +55,23 @@ def scene_arguments(description, argv=None, *, until, every=None, **options):
     add("restart", None, "checkpoint to go on from", metavar="FILE")
     text = "wall time between checkpoints, none are written by default"
     add("checkpoint_every", None, text, type=float, metavar="SECONDS")
-    add("threads", 1, "threads of the transfers", type=int)
-    return parser.parse_args(argv)
+    if threads:
+        add("threads", 1, "threads of the transfers", type=int)
+    return parser.parse_args(without_petsc(sys.argv[1:] if argv is None else argv))
+
+
+def without_petsc(argv):
+    """The arguments without PETSc's options and their values."""
+    kept, skip = [], False
+    for word in argv:
+        if word.startswith(PETSC):
+            skip = True
+        elif skip and (not word.startswith("-") or word[1:2].isdigit()):
+            skip = False
+        else:
+            kept.append(word)
+            skip = False
+    return kept
 
 
 def run_options(args):
