@@ -1,5 +1,7 @@
 """Gas scenes that tests share: meshes with named sides, closed boxes, totals and errors."""
 
+from pathlib import Path
+
 import numpy as np
 from mesh_factory import cube, gmsh_cube, rectangle
 
@@ -7,6 +9,7 @@ import fempm
 from coupling import Flow, IdealGas, Outflow, SlipWall
 
 AIR = IdealGas(1.4)
+DATA = Path(__file__).parent / "data"
 PAIRS = ("B1-B0", "B2-B1")
 SCHEMES = ("imex", "euler")
 SIDES = (("left", "right"), ("bottom", "top"), ("front", "back"))
@@ -96,3 +99,18 @@ def positive(gas):
     """Whether density and pressure are finite and positive everywhere."""
     fields = gas.vertex_fields()
     return all(np.isfinite(fields[k]).all() and fields[k].min() > 0 for k in ("density", "pressure"))
+
+
+def run(gas, until, **options):
+    """Run a gas to a time; returns the log of all steps, whose `iterations` are the most of a step."""
+    return fempm.run(gas, until, frames=1, log_every=1, progress=False, **options).log
+
+
+def table(name):
+    """Columns of a file of reference data, tests/data/<name>.csv."""
+    return np.loadtxt(DATA / f"{name}.csv", delimiter=",", skiprows=1).T
+
+
+def order(cells, errors):
+    """Order of convergence, fitted to errors at numbers of cells."""
+    return -np.polyfit(np.log(cells), np.log(errors), 1)[0]
