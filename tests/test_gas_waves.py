@@ -148,7 +148,7 @@ def metric(name, cells, pair):
 def test_pairs_side_by_side(name):
     """Prints N e, which does not fall with N by its definition as e does; L1 errors of the quadratic pair.
 
-    It has to beat the pressure-based codes at hand there, Kwatra's own scheme and sonicFoam (the better one of
+    It has to beat the pressure-based codes at hand there, Kwatra's scheme and sonicFoam (the better of
     both), and to reach the order asked of the default pair.
     N e is the mean square error: a discontinuity smeared over a width w makes it proportional to w, which
     a scheme of first order has fall as N^(-1/2) at contacts. It has to fall faster than that.
