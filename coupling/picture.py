@@ -66,13 +66,14 @@ def profiles(path, x, fields, exact=None, marks=(), title=""):
         ax.plot(x, np.ravel(fields[name]), "o", ms=2.2, mew=0, color=_PLAIN, zorder=2)
         for mark in marks:
             ax.axvline(mark, color="0.6", lw=0.7, ls=":", zorder=0)
+        ax.set_axisbelow(True)
         ax.grid(True, color="0.93", lw=0.6)
         ax.set(xlabel="x in m", ylabel=f"{name} in {unit}")
     figure.suptitle(title, fontsize=11)
     return _save(figure, path)
 
 
-def schlieren_strip(path, mesh, frames, contrast=15.0, plane=None):
+def schlieren_strip(path, mesh, frames, contrast=15.0, plane=None, box=None):
     """Write a PNG picture of several moments as a schlieren photograph, exp(-contrast |grad rho| / max).
 
     Parameters
@@ -87,6 +88,8 @@ def schlieren_strip(path, mesh, frames, contrast=15.0, plane=None):
         The larger, the weaker the waves that are seen.
     plane : pair of int and float, optional
         Axis and coordinate of a plane: in 3D, the slice that is drawn.
+    box : (left, right, bottom, top), optional
+        Part of the domain that is drawn.
 
     Raises
     ------
@@ -94,15 +97,15 @@ def schlieren_strip(path, mesh, frames, contrast=15.0, plane=None):
         If matplotlib is missing.
     """
     grey = [(t, np.exp(-contrast * f["schlieren"] / max(f["schlieren"].max(), 1e-300))) for t, f in frames]
-    return _strip(path, mesh, grey, plane, "gray", (0, 1), None)
+    return _strip(path, mesh, grey, plane, box, "gray", (0, 1), None)
 
 
-def colour_strip(path, mesh, frames, field, label="", limits=None, plane=None):
+def colour_strip(path, mesh, frames, field, label="", limits=None, plane=None, box=None):
     """Write a PNG picture of a scalar field at several moments, with common limits and colour bar.
 
     Parameters
     ----------
-    path, mesh, frames, plane
+    path, mesh, frames, plane, box
         As in `schlieren_strip`.
     field : str
         Name of the field.
@@ -119,10 +122,10 @@ def colour_strip(path, mesh, frames, field, label="", limits=None, plane=None):
     shown = [(t, f[field]) for t, f in frames]
     if limits is None:
         limits = min(v.min() for _, v in shown), max(v.max() for _, v in shown)
-    return _strip(path, mesh, shown, plane, "viridis", limits, label)
+    return _strip(path, mesh, shown, plane, box, "viridis", limits, label)
 
 
-def _strip(path, mesh, frames, plane, cmap, limits, label):
+def _strip(path, mesh, frames, plane, box, cmap, limits, label):
     """Panels of (time, vertex values), one above the other where the domain is wide."""
     if Ranks().rank > 0:
         return path
@@ -131,6 +134,8 @@ def _strip(path, mesh, frames, plane, cmap, limits, label):
     figure = _figure(1, 1)
     axes = [a for a in range(mesh.dim) if plane is None or a != plane[0]]
     low, high = mesh.points.min(axis=0)[axes], mesh.points.max(axis=0)[axes]
+    if box is not None:
+        low, high = np.array(box)[[0, 2]], np.array(box)[[1, 3]]
     width, height = high - low
     scale = min(7 / width, 4 / height) if width > 1.5 * height else min(3.4 / width, 5 / height)
     rows, columns = (len(frames), 1) if width > 1.5 * height else (1, len(frames))

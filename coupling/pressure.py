@@ -135,6 +135,13 @@ def divide_by_mass(size, inverse, special, tensors, force):
             force[i, a] *= inverse[i]
 
 
+@njit(**options)
+def add_diagonal(nodes, dofs, squares, inverse, out):
+    """Add to `out` (nq,) the diagonal of A^T M^-1 A."""
+    for k in range(len(nodes)):
+        out[dofs[k]] += squares[k] * inverse[nodes[k]]
+
+
 class PressureSystem:
     """The matrix S + dt A^T M^-1 A, applied cell by cell, and its PETSc solver.
 
@@ -216,9 +223,9 @@ class PressureSystem:
         space, (inverse, special, tensors) = self.part.space, self.mass
         effective = inverse.copy()
         effective[special] *= np.trace(tensors, axis1=1, axis2=2) / space.dim
-        nodes, dofs, squares = self.part.pairs
-        sums = np.bincount(dofs, squares * effective[nodes], len(self.result))
-        diagonal.array[:] = (self.stiffness + self.dt * sums)[self.part.owned]
+        sums = self.stiffness.copy()
+        add_diagonal(*self.part.pairs, self.dt * effective, sums)
+        diagonal.array[:] = sums[self.part.owned]
 
 
 def command_line_options(argv):
