@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks import comparison as others
+from benchmarks import gas
 from benchmarks.comparison import comparison
 from benchmarks.run_benchmarks import table
 from benchmarks.structured import scene, step
@@ -64,3 +65,19 @@ def test_error_against_time_decreases():
         assert fine["steps_s"] > 0 and fine["setup_s"] > 0
         plain = next(r for r in rows if (r["mesh"], r["gradient"], r["h"]) == (mesh, "plain", 1.0))
         assert plain["error_%"] > fine["error_%"]
+
+
+def test_gas_error_against_time():
+    """Half the cells, more of the error, in each code; the second stage gains more than a quarter."""
+    rows = {(r["code"], r["cells"]): r for r in gas.error_against_time((50, 100), cases=("sod",))}
+    for code in gas.SOLVERS:
+        assert rows[code, 100]["L1"] < 0.7 * rows[code, 50]["L1"]
+    assert rows["two stages", 100]["L1"] < 0.75 * rows["one stage", 100]["L1"]
+
+
+def test_gas_still_gas_and_slow_flow():
+    assert gas.circular_shock(0.1)["L1"] < 0.05
+    left_out, computed = gas.still_gas(0.1, 3)
+    assert left_out["vertices"] == computed["vertices"] > 100
+    by_velocity, by_sound = gas.slow_vortex(0.12, mach=0.1, turns=0.05)
+    assert 3 * by_velocity["steps"] < by_sound["steps"]

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 from benchmarks.comparison import comparison
+from benchmarks.gas import gas_benchmarks
 from benchmarks.throughput import STAGES, throughput
 from benchmarks.vibrating_bar import error_against_time
 from benchmarks.work import peak, work
@@ -105,18 +106,9 @@ def draw_errors(path, rows):
     figure.savefig(path, dpi=130)
 
 
-def main(argv=None):
-    formatter = argparse.ArgumentDefaultsHelpFormatter
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
-    parser.add_argument("--output", type=Path, default=Path("results/bench"), help="folder of the files")
-    parser.add_argument("--quick", action="store_true", help="smaller scenes: below a minute")
-    args = parser.parse_args(argv)
-    args.output.mkdir(parents=True, exist_ok=True)
-    begin = time.perf_counter()
-    (args.output / "machine.txt").write_text(machine() + "\n")
-    print(machine())
-
-    boxes, repetitions = (QUICK_BOXES, 5) if args.quick else (BOXES, 15)
+def solid_benchmarks(output, quick):
+    """Speed of a step in a filled box, its work, other codes, and the bar's error against run time."""
+    boxes, repetitions = (QUICK_BOXES, 5) if quick else (BOXES, 15)
     print("\nfilled box in motion; M: 1e6 particle-steps, ns: per particle-step, peak: process so far,")
     print("setup: mesh excluded, with consistent gradient, CPU time; uniform intervals need no correction,")
     print("so both gradients are the same in 1D", flush=True)
@@ -125,8 +117,8 @@ def main(argv=None):
         part = throughput(dim, h, repetitions)
         print(table(part), flush=True)
         speed += part
-    write_csv(args.output / "throughput.csv", speed)
-    draw_stages(args.output / "throughput.png", speed)
+    write_csv(output / "throughput.csv", speed)
+    draw_stages(output / "throughput.png", speed)
 
     rate = peak()
     print(
@@ -134,18 +126,36 @@ def main(argv=None):
     )
     done = [work(row, rate) for row in speed]
     print(table(done))
-    write_csv(args.output / "work.csv", done)
+    write_csv(output / "work.csv", done)
 
     print("\nneo-Hookean, APIC, 4 particles per triangle, 8 per tetrahedron, 4 and 8 per cell of a grid; M/s")
-    others = comparison(speed, QUICK_GRIDS if args.quick else GRIDS, repetitions)
+    others = comparison(speed, QUICK_GRIDS if quick else GRIDS, repetitions)
     print(table(others), flush=True)
-    write_csv(args.output / "comparison.csv", others)
+    write_csv(output / "comparison.csv", others)
 
     print("\nvibrating bar, one period, FLIP; seconds: CPU time", flush=True)
-    errors = error_against_time(QUICK_BARS if args.quick else BARS)
+    errors = error_against_time(QUICK_BARS if quick else BARS)
     print(table(errors))
-    write_csv(args.output / "error_against_time.csv", errors)
-    draw_errors(args.output / "error_against_time.png", errors)
+    write_csv(output / "error_against_time.csv", errors)
+    draw_errors(output / "error_against_time.png", errors)
+
+
+def main(argv=None):
+    formatter = argparse.ArgumentDefaultsHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
+    parser.add_argument("--output", type=Path, default=Path("results/bench"), help="folder of the files")
+    parser.add_argument("--only", choices=("solids", "gas"), help="one half of the benchmarks")
+    parser.add_argument("--quick", action="store_true", help="smaller scenes: below a minute")
+    args = parser.parse_args(argv)
+    args.output.mkdir(parents=True, exist_ok=True)
+    begin = time.perf_counter()
+    (args.output / "machine.txt").write_text(machine() + "\n")
+    print(machine())
+
+    if args.only != "gas":
+        solid_benchmarks(args.output, args.quick)
+    if args.only != "solids":
+        gas_benchmarks(args.output, args.quick, table, write_csv)
     print(f"\nwrote {args.output}/ in {time.perf_counter() - begin:.0f} s")
 
 

@@ -1,0 +1,225 @@
+"""Speed of the gas solver: error against run time beside PyClaw, a circular shock, slow flow, still gas."""
+
+import importlib.util
+import time
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import fempm
+from coupling import Flow, IdealGas, Outflow, SlipWall, stages
+from coupling.cases import CASES, exact_density, mean_error, tube
+
+DATA = Path(__file__).parent.parent / "data"
+MESHES = Path(__file__).parent.parent.parent / "meshes"
+SOLVERS = {
+    "one stage": {"scheme": "euler"},
+    "two stages": {},
+    "B2-B1": {"pair": "B2-B1"},
+}
+
+
+def advance(gas, until, dt_limit=np.inf):
+    """Run to a time without files; returns CPU seconds, without those of compilation."""
+    dt = min(gas.stable_step(), dt_limit)
+    gas.one_step(gas.U, dt)  # compiles what is needed and leaves the gas as it is
+    gas.stages.iterations.clear()
+    start = time.process_time()
+    while gas.time < until * (1 - 1e-12):
+        left = until - gas.time
+        dt = left / np.ceil(left / min(gas.stable_step(), dt_limit))
+        gas.dt = dt
+        gas.step(dt)
+    return time.process_time() - start
+
+
+def error_against_time(cells, cases=("sod", "mach3")):
+    """Rows: case, code, cells, L1 density error, CPU seconds, steps, largest number of iterations."""
+    rows = []
+    for case in cases:
+        for name, options in SOLVERS.items():
+            for n in cells:
+                gas = tube(case, n, **options)
+                seconds = advance(gas, CASES[case].until)
+                x, density = gas.mesh.points[:, 0], gas.vertex_fields()["density"]
+                rows.append(
+                    {
+                        "case": case,
+                        "code": name,
+                        "cells": n,
+                        "L1": mean_error(x, density, exact_density(case, x)),
+                        "cpu_s": seconds,
+                        "steps": gas.steps,
+                        "iterations": max(gas.stages.iterations),
+                    }
+                )
+        if importlib.util.find_spec("clawpack"):
+            rows += [pyclaw(case, n) for n in cells]
+    return rows
+
+
+def pyclaw(case, cells):
+    """The same row by PyClaw: Roe's solver and MC limiter, second order, Courant number 0.9."""
+    from clawpack import pyclaw as claw
+    from clawpack import riemann
+
+    solver = claw.ClawSolver1D(riemann.euler_with_efix_1D)
+    solver.all_bcs = claw.BC.extrap
+    solver.limiters, solver.cfl_desired, solver.cfl_max = claw.limiters.tvd.MC, 0.9, 1.0
+    solver.max_steps = 10**6
+    domain = claw.Domain([claw.Dimension(0.0, 1.0, cells, name="x")])
+    state = claw.State(domain, 3)
+    state.problem_data["gamma"], state.problem_data["gamma1"] = 1.4, 0.4
+    state.problem_data["efix"] = True
+    x = domain.grid.x.centers
+    density, velocity, pressure = CASES[case].initial(x[:, None])
+    velocity = np.ravel(velocity)
+    state.q[:] = density, density * velocity, pressure / 0.4 + 0.5 * density * velocity**2
+    solution = claw.Solution(state, domain)
+    start = time.process_time()
+    status = solver.evolve_to_time(solution, CASES[case].until)
+    return {
+        "case": case,
+        "code": "PyClaw",
+        "cells": cells,
+        "L1": np.mean(np.abs(state.q[0] - exact_density(case, x))),
+        "cpu_s": time.process_time() - start,
+        "steps": status["numsteps"],
+        "iterations": 0,
+    }
+
+
+def circular_shock(h, still=None):
+    """A row on the circular shock: vertices, L1 density error, steps, CPU seconds.
+
+    Parameters
+    ----------
+    h : mesh size
+    still : share of the speed of sound below which gas counts as at rest, -1 for never
+    """
+    mesh = fempm.read_mesh(MESHES / "tank.geo", h=h, W=2, H=2, x0=-1, y0=-1)
+    gas = Flow(mesh, IdealGas(), circle, [Outflow(name) for name in ("left", "right", "bottom", "top")])
+    usual = stages.STILL
+    stages.STILL = usual if still is None else still
+    try:
+        seconds = advance(gas, 0.25)
+    finally:
+        stages.STILL = usual
+    reference = np.genfromtxt(DATA / "circular_shock_t0.25.csv", delimiter=",", names=True)
+    s, radius = gas.part.space, np.linalg.norm(gas.part.space.points, axis=1)
+    apart = np.abs(gas.U[:, 0] - np.interp(radius, reference["r"], reference["rho"]))
+    return {
+        "vertices": len(radius),
+        "L1": s.volumes @ apart / 4,
+        "steps": gas.steps,
+        "cpu_s": seconds,
+        "us/vertex/step": 1e6 * seconds / gas.steps / len(radius),
+        "iterations": max(gas.stages.iterations),
+        "mean": float(np.mean(gas.stages.iterations)),
+    }
+
+
+def circle(x):
+    """Density, velocity and pressure: high inside of r = 0.4."""
+    inside = np.linalg.norm(x, axis=1) < 0.4
+    return np.where(inside, 1.0, 0.125), 0.0, np.where(inside, 1.0, 0.1)
+
+
+def still_gas(h, size):
+    """CPU seconds of one advection, with and without still gas left out: a small explosion in a large box.
+
+    Parameters
+    ----------
+    h : mesh size
+    size : side of the box over the diameter of the hot gas
+    """
+    width = 0.4 * size
+    mesh = fempm.read_mesh(MESHES / "tank.geo", h=h, W=width, H=width, x0=-width / 2, y0=-width / 2)
+
+    def hot(x):
+        return 1.0, 0.0, np.where(np.linalg.norm(x, axis=1) < 0.2, 10.0, 1.0)
+
+    gas = Flow(mesh, IdealGas(), hot, [SlipWall("boundary")])
+    advance(gas, 0.05)
+    rows, usual = [], stages.STILL
+    for name, share in (("left out", usual), ("computed", -1.0)):
+        stages.STILL = share
+        times = []
+        for _ in range(5):
+            start = time.process_time()
+            gas.stages.advection(gas.U)
+            times.append(time.process_time() - start)
+        rows.append({"still gas": name, "vertices": len(gas.U), "advection_ms": 1e3 * min(times)})
+    stages.STILL = usual
+    return rows
+
+
+def slow_vortex(h, mach=0.01, turns=0.25):
+    """Rows on a steady vortex of a Mach number: step from |u| and grad p, and one limited by sound.
+
+    Gaussian vortex u = U r / R exp((1 - (r / R)^2) / 2) in a box, exact for the density 1 and the pressure
+    p0 - U^2 exp(1 - (r / R)^2) / 2; error: int |u - u_exact| over U pi R^2, after some turns of its core. The pair is B2-B1: one
+    pressure per triangle is too many for a gas that can hardly be compressed.
+    """
+    radius, speed = 0.15, mach
+    mesh = fempm.read_mesh(MESHES / "square.geo", h=h)
+
+    def vortex(x):
+        offset, r2 = x - 0.5, np.sum((x - 0.5) ** 2, axis=1) / radius**2
+        turn = speed / radius * np.exp(0.5 * (1 - r2))
+        velocity = turn[:, None] * np.stack([-offset[:, 1], offset[:, 0]], axis=1)
+        return 1.0, velocity, 1 / 1.4 - 0.5 * speed**2 * np.exp(1 - r2)  # the speed of sound is 1
+
+    rows = []
+    for name, courant in (("|u| and grad p", np.inf), ("sound, 0.5", 0.5)):
+        gas = Flow(mesh, IdealGas(), vortex, [SlipWall("boundary")], pair="B2-B1")
+        exact, volumes = vortex(gas.part.space.points)[1], gas.part.space.volumes
+        seconds = advance(gas, turns * 2 * np.pi * radius / speed, courant * gas.width.min())
+        apart = np.linalg.norm(gas.U[:, 1:-1] / gas.U[:, :1] - exact, axis=1)
+        rows.append(
+            {
+                "Mach": mach,
+                "step from": name,
+                "nodes": len(apart),
+                "error_%": 100 * (volumes @ apart) / (np.pi * radius**2 * speed),
+                "steps": gas.steps,
+                "cpu_s": seconds,
+                "iterations": max(gas.stages.iterations),
+            }
+        )
+    return rows
+
+
+def draw(path, rows):
+    """L1 density error over run time, one panel per case, one line per code."""
+    cases = list(dict.fromkeys(row["case"] for row in rows))
+    figure = Figure(figsize=(4.6 * len(cases), 4.0), layout="constrained")
+    for ax, case in zip(figure.subplots(1, len(cases), squeeze=False)[0], cases):
+        for code in dict.fromkeys(row["code"] for row in rows):
+            line = [row for row in rows if (row["case"], row["code"]) == (case, code)]
+            ax.loglog([r["cpu_s"] for r in line], [r["L1"] for r in line], "o-", label=code)
+        ax.set(title=CASES[case].title, xlabel="CPU time in s", ylabel="mean density error")
+        ax.grid(alpha=0.3)
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figure.savefig(path, dpi=130)
+
+
+def gas_benchmarks(output, quick, table, write_csv):
+    """All of the above: print tables, write CSV files and a picture into a folder."""
+    cells = (100, 200) if quick else (100, 200, 400, 800, 1600)
+    print("\ngas: mean density error against CPU time, PyClaw (pip install clawpack) where it is installed")
+    rows = error_against_time(cells)
+    print(table(rows), flush=True)
+    write_csv(output / "gas_error_against_time.csv", rows)
+    draw(output / "gas_error_against_time.png", rows)
+    print("\ncircular shock on irregular triangles, two stages, t = 0.25; mean: iterations of a solve")
+    shocks = [circular_shock(h) for h in ((0.04, 0.028) if quick else (0.0426, 0.0213, 0.01065))]
+    print(table(shocks), flush=True)
+    write_csv(output / "gas_circular_shock.csv", shocks)
+    print("\none advection of a small explosion in a large box")
+    print(table(still_gas(0.04 if quick else 0.02, 6)), flush=True)
+    print("\nslow vortex, a quarter of a turn, B2-B1")
+    slow = [row for mach in ((0.1,) if quick else (0.1, 0.01)) for row in slow_vortex(0.06, mach)]
+    print(table(slow), flush=True)
+    write_csv(output / "gas_slow_vortex.csv", slow)
