@@ -1,4 +1,4 @@
-"""The one-dimensional benchmarks of Kwatra et al. 2009, for demos and tests: states, times, exact densities."""
+"""The one-dimensional benchmarks of Kwatra et al. 2009, for demos and tests: states, times, exact values."""
 
 from dataclasses import dataclass
 
@@ -115,7 +115,7 @@ def acoustic_step(cells, courant):
 
 
 def reference(case, cells, courant=3.0, until=None, **options):
-    """Fields of a fine run at the end of a case, or at a given time, at vertices (n,): x, dict name -> (n,)."""
+    """Fields of a fine run at the end of a case, or at a given time: vertices (n,), dict name -> (n,)."""
     case = CASES[case] if isinstance(case, str) else case
     gas = tube(case, cells, **options)
     dt = acoustic_step(cells, courant) if case.ends == "periodic" else None

@@ -1,36 +1,13 @@
-"""PNG pictures of a gas, drawn with matplotlib by the first rank, and values along lines through it."""
+"""PNG pictures of a gas, drawn with matplotlib by the first rank."""
 
 import numpy as np
 
-from fempm.locate import cell_bins, search
 from fempm.parallel import Ranks
 from fempm.picture import _PLAIN, _figure, _save
 
+from .probes import probe
+
 PIXELS = 600  # along the longer side of a slice through three dimensions
-
-
-def probe(mesh, points, field):
-    """Values of a vertex field at points, interpolated linearly.
-
-    Parameters
-    ----------
-    mesh : fempm.SimplexMesh
-    points : (n, d) array, for example along a line
-    field : (nv, ...) array
-
-    Returns
-    -------
-    (n, ...) array
-        NaN at points outside the mesh.
-    """
-    points = np.ascontiguousarray(points, float).reshape(-1, mesh.dim)
-    cell = np.zeros(len(points), np.int32)
-    search(tuple(range(mesh.dim)), points, cell, mesh.cells, mesh.points, mesh.inverse, *cell_bins(mesh))
-    corners = mesh.cells[cell]
-    inner = np.einsum("nij,nj->ni", mesh.inverse[cell], points - mesh.points[corners[:, 0]])
-    weights = np.concatenate([1 - inner.sum(axis=1, keepdims=True), inner], axis=1)
-    weights[cell < 0] = np.nan
-    return np.einsum("ni,ni...->n...", weights, np.asarray(field, float)[corners])
 
 
 def profiles(path, x, fields, exact=None, marks=(), title=""):

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from small_scene import command
 
+from fempm.cli import scene_arguments
+
 DEMOS = Path(__file__).parent.parent / "demos"
 sys.path.insert(0, str(DEMOS))
 
@@ -32,6 +34,24 @@ def check_files(record, frames):
         series.read_points_cells()
         assert series.num_steps == frames + 1
     assert np.genfromtxt(log, names=True, delimiter=",")["time"][-1] == record.log["time"][-1]
+
+
+def check_gas_files(record, frames, columns=()):
+    """Vertex fields readable by meshio at every frame, those of the record, and a log as long as its own."""
+    path, log = record.files
+    with meshio.xdmf.TimeSeriesReader(path) as series:
+        points, _ = series.read_points_cells()
+        assert series.num_steps == frames + 1 == len(record.frames)
+        for k in range(frames + 1):
+            time, fields, _ = series.read_data(k)
+            expected = record.frames[k]
+            assert time == pytest.approx(expected[0], abs=1e-15)
+            assert {"density", "velocity", "pressure", "mach", "schlieren"} == set(fields)
+            assert np.array_equal(fields["density"], expected[1]["density"])
+            assert all(len(f) == len(points) and np.isfinite(f).all() for f in fields.values())
+    written = np.genfromtxt(log, names=True, delimiter=",")
+    assert {"mass", "energy", "iterations", "repeated", *columns} <= set(written.dtype.names)
+    assert np.array_equal(written["time"], record.log["time"])
 
 
 @pytest.mark.smoke
@@ -133,13 +153,85 @@ def test_slope_failure(tmp_path):
     assert locked["run_out"][-1] < 0.1 and locked["strain"].max() < 0.1
 
 
-def test_on_two_ranks(tmp_path):
-    """The sand column, the demo with contact, friction and internal variables: the same printed numbers."""
-    script, printed = str(DEMOS / "demo_column_collapse.py"), []
+@pytest.mark.smoke
+@pytest.mark.parametrize(("case", "bound"), [("sod", 2.1e-3), ("two_rarefactions", 4e-3), ("blast", 9.3e-2)])
+def test_shock_tube(tmp_path, case, bound):
+    """Bounds of the mean error asked at 400 cells (blasts: PyClaw's second order), and of iterations."""
+    result = run_demo("shock_tube", tmp_path, "--case", case)
+    assert result["error"] < bound and result["iterations"] <= 15
+    check_gas_files(result["record"], 1)
+    assert (tmp_path / "shock_tube.png").stat().st_size > 10_000
+
+
+def test_shock_tube_of_smooth_waves(tmp_path):
+    """Second order in cells and steps together; the waves change the density by 1e-4."""
+    cells = ("200", "400")
+    options = ("--case", "smooth", "--cells")
+    errors = [run_demo("shock_tube", tmp_path, *options, n)["error"] for n in cells]
+    assert errors[1] < 1e-6 and np.log2(errors[0] / errors[1]) > 1.8
+
+
+def test_circular_shock(tmp_path):
+    """Shock and contact of the radial reference to half a cell, and a closed box keeps mass and energy."""
+    result = run_demo("circular_shock", tmp_path, "--h", "0.05")
+    assert abs(result["shock"] - 0.8134) < 0.025 and abs(result["contact"] - 0.620) < 0.025
+    assert max(result["drift"].values()) < 1e-12
+    assert result["spread"] < 5e-3
+    check_gas_files(result["record"], 5)
+    assert (tmp_path / "circular_shock.png").stat().st_size > 10_000
+
+
+def test_explosion(tmp_path):
+    """The shock of a radial reference (4,000 cells, HLLC, second order) to half a cell."""
+    result = run_demo("explosion", tmp_path, "--h", "0.1")
+    assert abs(result["shock"] - 0.793) < 0.05
+    assert max(result["drift"].values()) < 1e-12
+    check_gas_files(result["record"], 5)
+    assert (tmp_path / "explosion.png").stat().st_size > 10_000
+
+
+def test_forward_step(tmp_path):
+    result = run_demo("forward_step", tmp_path, "--h", "0.05")
+    assert result["stand_off"] == pytest.approx(0.28, abs=0.03)
+    check_gas_files(result["record"], 8)
+
+
+def test_mach_diamond(tmp_path):
+    result = run_demo("mach_diamond", tmp_path, "--h", "0.02", "--until", "1")
+    check_gas_files(result["record"], 10)
+
+
+def test_airfoil(tmp_path):
+    result = run_demo("airfoil", tmp_path, "--mach", "2", "--angle", "0", "--h", "0.04", "--until", "3")
+    check_gas_files(result["record"], 20, ("lift", "drag"))
+
+
+def test_options_of_petsc_pass_and_others_do_not(capsys):
+    """Those of PETSc go to the pressure solver; what nobody knows is an error; a gas has no threads."""
+    scene = {"until": 1.0, "cells": (100, "number of cells")}
+    petsc = ["-ksp_monitor", "--cells", "7", "-ksp_rtol", "1e-10", "-pc_type", "none", "-ksp_shift", "-0.5"]
+    args = scene_arguments("A gas.", petsc, **scene, threads=False)
+    assert args.cells == 7 and not hasattr(args, "threads")
+    assert scene_arguments("Sand.", ["--threads", "2"], until=1).threads == 2
+    for unknown in (["--threads", "2"], ["-ksp"], ["-ksp_rtol", "1e-3", "1e-4"], ["--cell", "7", "-x"]):
+        with pytest.raises(SystemExit):
+            scene_arguments("A gas.", unknown, **scene, threads=False)
+        assert "unrecognized arguments" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("demo", "options"),
+    [("column_collapse", ["--h", "0.1", "--until", "0.2"]), ("circular_shock", ["--h", "0.05"])],
+)
+def test_on_two_ranks(tmp_path, demo, options):
+    """The sand column, with contact, friction and internal variables, and a gas: the same printed numbers."""
+    script, printed = str(DEMOS / f"demo_{demo}.py"), []
     for ranks in (1, 2):
         start, env = command(ranks)
-        options = ["--h", "0.1", "--until", "0.2", "--output", str(tmp_path / f"on_{ranks}")]
-        run = subprocess.run([*start, script, *options], env=env, capture_output=True, text=True, timeout=300)
+        output = ["--output", str(tmp_path / f"on_{ranks}")]
+        run = subprocess.run(
+            [*start, script, *options, *output], env=env, capture_output=True, text=True, timeout=300
+        )
         assert run.returncode == 0, run.stderr
         printed.append([line for line in run.stdout.splitlines() if " m" in line and "wrote" not in line])
     assert printed[0] and printed[0] == printed[1]
