@@ -104,7 +104,7 @@ def gradients(size, edges, forward, backward, volumes, W, needed, out):
                     out[i, k, a] /= volumes[i]
 
 
-# without a thought for NaN, which `primitive` has ruled out, the compiler limits all slopes of an edge at once
+# with no thought of NaN, which `primitive` rules out, the compiler limits all slopes of an edge at once
 @njit(**(options | {"fastmath": True}))
 def add_fluxes(size, active, edges, vectors, forward, backward, W, gradient, limiter, out):
     """Subtract from `out` (n, d + 2) the fluxes that leave each node through the active edges."""

@@ -76,7 +76,7 @@ class OpenEnds:
 
 
 class Inside:
-    """Means just inside of some nodes of the boundary, with the weights of the force that pressure has on them.
+    """Means just inside of some nodes of the boundary, weighted like the force of the pressure on them.
 
     Parameters
     ----------
