@@ -32,9 +32,7 @@ class OpenEnds:
 
     def begin_step(self, W, pressure):
         """Look at the gas inside: W (n, d + 2) its density, velocity and internal energy."""
-        density = np.ascontiguousarray(W[:, 0])
-        fields = np.ascontiguousarray(np.stack([pressure, *W[:, :-1].T]))
-        p, density, *velocity = self.inside.values(density, fields)
+        p, density, *velocity = self.inside.means(W[:, 0].copy(), np.stack([pressure, *W[:, :-1].T]))
         self.impedance = np.sqrt(self.eos.bulk_modulus(density, p) * density)
         self.carried = p - self.impedance * np.sum(np.array(velocity).T * self.normal, axis=1)
 
@@ -100,6 +98,7 @@ class Inside:
         np.add.at(out, self.nodes[self.row], np.einsum("xkq,kq->kx", values[:, self.dofs], self.share))
         return self.part.sum_nodes(out)[self.nodes].T
 
-    def values(self, density, fields):
+    def means(self, density, fields):
         """(k, m) mass-weighted means of nodal fields (k, n). Collective."""
-        return self.sums(np.array([self.part.means(density, f, f)[0] for f in fields]))
+        pairs = [fields[i : i + 2] for i in range(0, len(fields), 2)]
+        return self.sums(np.concatenate([self.part.means(density, f[0], f[-1])[: len(f)] for f in pairs]))

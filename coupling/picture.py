@@ -50,6 +50,12 @@ def profiles(path, x, fields, exact=None, marks=(), title=""):
     return _save(figure, path)
 
 
+def spread(frames, count):
+    """`count` of the frames of a record, or all there are, evenly up to the last and without the first."""
+    last = len(frames) - 1
+    return [frames[k] for k in sorted({-(-last * i // count) for i in range(1, count + 1)})]
+
+
 def schlieren_strip(path, mesh, frames, contrast=15.0, plane=None, box=None):
     """Write a PNG picture of several moments as a schlieren photograph, exp(-contrast |grad rho| / max).
 

@@ -136,6 +136,13 @@ def divide_by_mass(size, inverse, special, tensors, force):
 
 
 @njit(**options)
+def add_stiffness(dt, stiffness, x, out):
+    """Make `out` (nq,) dt `out` + S x."""
+    for q in range(len(out)):
+        out[q] = dt * out[q] + stiffness[q] * x[q]
+
+
+@njit(**options)
 def add_diagonal(nodes, dofs, squares, inverse, out):
     """Add to `out` (nq,) the diagonal of A^T M^-1 A."""
     for k in range(len(nodes)):
@@ -216,7 +223,8 @@ class PressureSystem:
         force = part.pressure_force(self.pressure, self.velocity)
         divide_by_mass(part.size, *self.mass, force)
         part.divergence(force, self.result)
-        y.array[:] = self.dt * self.result[part.owned] + self.stiffness[part.owned] * x.array_r
+        add_stiffness(self.dt, self.stiffness, self.pressure, self.result)
+        y.array[:] = self.result[part.owned]
 
     def getDiagonal(self, matrix, diagonal):
         """Diagonal of the matrix, for PETSc."""

@@ -156,9 +156,7 @@ class Stages:
         state = self.fixed_state
         if self.any_floating:
             state = state.copy()
-            state[self.floating, -1] = self.beside.values(np.ascontiguousarray(U[:, 0]), pressure[None])[0][
-                self.floating
-            ]
+            state[self.floating, -1] = self.beside.means(U[:, 0].copy(), pressure[None])[0][self.floating]
         return self.from_primitive(state)
 
     def attenuate(self, U, dt):
