@@ -18,12 +18,9 @@ MESHES = Path(__file__).parent.parent / "meshes"
 
 
 def main(argv=None):
-    options = {
-        "mach": (0.8, "Mach number of the wind"),
-        "angle": (1.25, "its angle with the chord in degrees"),
-    }
-    options["h"] = (0.02, "mesh size along the airfoil in chords")
-    args = scene_arguments(__doc__, argv, until=None, threads=False, **options)
+    h, angle = (0.02, "mesh size along the airfoil in chords"), (1.25, "angle with the chord in degrees")
+    wind = {"mach": (0.8, "Mach number of the wind"), "angle": angle}
+    args = scene_arguments(__doc__, argv, until=None, threads=False, h=h, **wind)
     turn = np.deg2rad(args.angle)
     along, up = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     mesh = fempm.read_mesh(MESHES / "naca0012.geo", h=args.h)
@@ -41,14 +38,12 @@ def main(argv=None):
     record = fempm.run(gas, **run, watch=forces)
     fields, late = record.frames[-1][1], record.log["time"] > 0.9 * gas.time
     lift, drag = (record.log[name][late].mean() for name in ("lift", "drag"))
-    on = sorted(np.unique(mesh.facets("airfoil")), key=lambda i: mesh.points[i, 0])
+    on = np.array(sorted(np.unique(mesh.facets("airfoil")), key=lambda i: mesh.points[i, 0]))
     cp, y, x = (fields["pressure"][on] - 1) / head, mesh.points[on, 1], np.linspace(0, 1, 501)
     upper, lower = (np.interp(x, mesh.points[on[s], 0], cp[s]) for s in (y > -1e-9, y < 1e-9))
     shock = x[25 + np.argmax(np.diff(upper[25:451]))]
-    nose, near = (
-        (stopped_pressure(args.mach) - 1) / head,
-        {"label": "Mach number", "box": (-0.6, 1.6, -0.8, 0.8)},
-    )
+    nose = (stopped_pressure(args.mach) - 1) / head
+    near = {"label": "Mach number", "box": (-0.6, 1.6, -0.8, 0.8)}
     sides = {"upper side": -upper, "lower side": -lower}
     picture = colour_strip(f"{args.output}.png", mesh, record.frames[-1:], "mach", **near)
     curve = curves(f"{args.output}_cp.png", x, sides, "x in chords", "-cp")

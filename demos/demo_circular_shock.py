@@ -8,7 +8,7 @@ import numpy as np
 
 import fempm
 from coupling import Flow, IdealGas, SlipWall
-from coupling.picture import schlieren_strip
+from coupling.picture import schlieren_strip, spread
 from coupling.probes import probe
 from fempm.cli import print_files, run_options, scene_arguments
 
@@ -37,19 +37,19 @@ def main(argv=None):
     record = fempm.run(gas, **run_options(args))
     radii = np.linspace(0, 0.95, 951)
     density, pressure = around(mesh, record.frames[-1][1], radii)
-    mean, spread = density.mean(axis=0), density.std(axis=0)
+    mean, differ = density.mean(axis=0), density.std(axis=0)
     # the pressure jumps at the shock, the density at the contact behind it
     shock = radii[np.argmin(np.where(radii > 0.6, np.gradient(pressure.mean(axis=0)), 0))]
     contact = radii[np.argmin(np.where(abs(radii - shock + 0.2) < 0.1, np.gradient(mean), 0))]
     drift = {name: np.ptp(record.log[name]) / record.log[name][0] for name in ("mass", "energy")}
-    picture = schlieren_strip(f"{args.output}.png", mesh, record.frames[1::2], contrast=5.0)
+    picture = schlieren_strip(f"{args.output}.png", mesh, spread(record.frames, 3), contrast=5.0)
     print(f"{len(mesh.points)} vertices, {gas.steps} steps, {gas.repeated} repeated in halves")
     print(f"mass off by {drift['mass']:.1e}, energy by {drift['energy']:.1e} of their start")
     print(f"shock at r = {shock:.4f} m, contact at {contact:.3f} m (reference at 0.25 s: 0.8134 and 0.620)")
-    print(f"density at equal radius differs by {spread.mean():.2e} kg/m3 (RMS), at most {spread.max():.3f},")
-    print(f"where it is steep: r = {radii[spread.argmax()]:.3f} m")
+    print(f"density at equal radius differs by {differ.mean():.2e} kg/m3 (RMS), at most {differ.max():.3f},")
+    print(f"where it is steep: r = {radii[differ.argmax()]:.3f} m")
     print_files([*record.files, picture])
-    return {"shock": shock, "contact": contact, "spread": spread.mean(), "drift": drift, "record": record}
+    return {"shock": shock, "contact": contact, "spread": differ.mean(), "drift": drift, "record": record}
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import numpy as np
 
 import fempm
 from coupling import Flow, IdealGas, Inflow, Outflow, SlipWall
-from coupling.picture import schlieren_strip
+from coupling.picture import schlieren_strip, spread
 from coupling.probes import probe, stopped_pressure
 from fempm.cli import print_files, run_options, scene_arguments
 
@@ -40,7 +40,7 @@ def main(argv=None):
     stem = 1 - heights[np.flatnonzero(~upright)[-1]] if not upright.all() else 1.0
     foot = [probe(mesh, [[0.6 - 1e-9, 0.0]], f["pressure"])[0] for t, f in record.frames if 2 * t >= gas.time]
     foot, exact = np.mean(foot), stopped_pressure(3.0)
-    picture = schlieren_strip(f"{args.output}.png", mesh, record.frames[1::2][-4:] + [record.frames[-1]])
+    picture = schlieren_strip(f"{args.output}.png", mesh, spread(record.frames, 4))
     print(f"{len(mesh.points)} vertices, {gas.steps} steps, {gas.repeated} repeated in halves")
     print(f"the bow shock stands {stand_off:.3f} m off the step; mean pressure at the foot")
     print(f"over the second half {foot:.2f} (exact: {exact:.2f})")

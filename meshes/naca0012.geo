@@ -1,5 +1,5 @@
 // Square [-R, R]^2 around a NACA 0012 airfoil of chord 1, its nose at the origin and its tail closed.
-// h: cells along its middle; they are half of that at nose and tail, and grow by G per length outwards.
+// h: cells along its middle; a quarter of that at the nose, half at the tail, and growing by G per length.
 SetFactory("OpenCASCADE");
 DefineConstant[h = 0.02];
 DefineConstant[R = 10];
@@ -40,14 +40,18 @@ Field[1] = Distance;
 Field[1].CurvesList = {1, 2};
 Field[1].NumPointsPerCurve = 400;
 Field[2] = Distance;
-Field[2].PointsList = {1, n + 1};
+Field[2].PointsList = {n + 1};
 Field[3] = MathEval;
 Field[3].F = Sprintf("%g + %g * F1", h, G);
 Field[4] = MathEval;
-Field[4].F = Sprintf("%g + %g * F2", h / 2, G);
-Field[5] = Min;
-Field[5].FieldsList = {3, 4};
-Background Field = 5;
+Field[4].F = Sprintf("%g + %g * F2", h / 4, G);
+Field[5] = Distance;
+Field[5].PointsList = {1};
+Field[6] = MathEval;
+Field[6].F = Sprintf("%g + %g * F5", h / 2, G);
+Field[7] = Min;
+Field[7].FieldsList = {3, 4, 6};
+Background Field = 7;
 Mesh.Algorithm = 5;
 Mesh.MeshSizeExtendFromBoundary = 0;
 Mesh.MeshSizeFromPoints = 0;

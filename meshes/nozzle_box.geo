@@ -3,7 +3,7 @@
 SetFactory("OpenCASCADE");
 DefineConstant[h = 0.01];
 DefineConstant[W = 1];
-DefineConstant[H = 1.5];
+DefineConstant[H = 1];
 DefineConstant[D = 0.125];
 
 Point(1) = {-W / 2, 0, 0};
