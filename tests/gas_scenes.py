@@ -52,9 +52,9 @@ def walls(d):
 
 
 def blast(x):
-    """A ball of hot dense gas off the centre, moving, in gas that moves as well."""
+    """A ball of dense gas at high pressure off the centre, moving, in gas at rest."""
     inside = np.linalg.norm(x - 0.4, axis=1) < 0.25
-    velocity = np.where(inside[:, None], 0.4, -0.2) * np.ones_like(x)
+    velocity = np.where(inside[:, None], 0.3, 0.0) * np.ones_like(x)
     return np.where(inside, 1.0, 0.125), velocity, np.where(inside, 1.0, 0.1)
 
 
