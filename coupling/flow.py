@@ -35,7 +35,8 @@ class Flow:
         NumPy broadcasts to these shapes
     boundaries : conditions, one for each exterior facet, see `boundaries`
     pair : velocity and pressure space, "B1-B0" or "B2-B1"
-    scheme : "imex", two stages and second order, or "euler", the one stage of the thesis
+    scheme : "imex", two stages and second order, or "euler", the one stage of the thesis with advection by
+        Heun's method
     limiter : one of `limiters.NAMES`
     cfl : Courant number of |u| and grad p; the first five steps also stay below a quarter of the
         time in which sound crosses a cell, since the pressure has no gradient yet where it jumps
@@ -107,7 +108,8 @@ class Flow:
         stages = self.stages
         stages.begin_step(U)
         if (scheme or self.scheme) == "euler":
-            U = stages.implicit_pressure(U + dt * stages.advection(U, limiter), dt, U)
+            ahead = U + dt * stages.advection(U, limiter)
+            U = stages.implicit_pressure(0.5 * (U + ahead + dt * stages.advection(ahead, limiter)), dt)
         else:
             tau = GAMMA * dt
             first = stages.implicit_pressure(U + tau * stages.advection(U), tau, U)

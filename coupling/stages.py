@@ -1,10 +1,10 @@
 """The two parts that the stages of a step are made of: explicit advection and implicit pressure.
 
-All of the sound is implicit: the pressure solve acts on rho c^2 div u, and what the energy gained from
-the compression in the advection is exchanged for that of the new velocity, with the same central fluxes.
-So the pressure of the solve is the one that the energy has afterwards, up to the second order, and the
-time step knows no speed of sound. The thesis (3.2.5) and Kwatra et al. 2009 leave the compression in the
-advection, which is of first order in time.
+In the two-stage scheme all of the sound is implicit: the pressure solve acts on rho c^2 div u, and what the
+energy gained from the compression in the advection is exchanged for that of the new velocity, with the same
+central fluxes. So the pressure of the solve is the one that the energy has afterwards, up to the second
+order, and the time step knows no speed of sound. The one stage of the thesis (3.2.5) and of Kwatra et al.
+2009 leaves the compression in the advection, which is of first order in time.
 """
 
 import numpy as np
@@ -90,23 +90,25 @@ class Stages:
         self.cut += advection.limited_sum(U, change, out)
         return out
 
-    def implicit_pressure(self, U, dt, advected, star=None):
+    def implicit_pressure(self, U, dt, advected=None, star=None):
         """The conserved variables after the implicit pressure has acted for a time dt. Collective.
 
         Parameters
         ----------
         U : (n, d + 2) conserved variables after the explicit part
         dt : length of the stage
-        advected : state whose velocity the advection of this stage had
+        advected : state whose velocity the advection of this stage had, for implicit sound
         star : state whose pressure is linearised about, U itself when not given
         """
         part, s, ends = self.part, self.part.space, self.open
         W, p = self.primitive(U if star is None else star)
         bulk = self.eos.bulk_modulus(W[:, 0], p)
         carried = bulk - self.eos.heating(W[:, 0], p) * p
-        before = advected[:, 1:-1] / advected[:, :1]
         velocity, inverse, around = np.empty_like(s.points), np.empty(len(U)), np.empty(len(U))
-        expansion = self.outflow_of(before)
+        expansion = np.zeros(len(U))
+        if advected is not None:
+            before = advected[:, 1:-1] / advected[:, :1]
+            expansion = self.outflow_of(before)
         volumes, gravity = s.volumes, self.gravity
         pressure.before_solve(
             part.size, U, p, carried, expansion, SHOCK, dt, volumes, gravity, velocity, inverse, around
@@ -136,7 +138,9 @@ class Stages:
         work = part.work(star + increment, velocity)
         if len(ends.nodes):
             work[ends.nodes] -= ends.power(velocity)
-        outflow = self.outflow_of(velocity - before, np.ascontiguousarray(W[:, -1]))
+        outflow = np.zeros(len(U))
+        if advected is not None:
+            outflow = self.outflow_of(velocity - before, np.ascontiguousarray(W[:, -1]))
         out = np.empty_like(U)
         pressure.after_solve(part.size, velocity, work, outflow, dt, volumes, gravity, U, out)
         out[self.fixed] = self.inflow_state(U, p)

@@ -4,6 +4,7 @@ import importlib.util
 import re
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 from .structured import structured
@@ -14,7 +15,9 @@ TRIAL = HERE.parents[2] / "shared/experiments/transfer_speed_3d.py"  # not part 
 
 def output(*command):
     """What a Python program prints, or "" where it fails."""
-    done = subprocess.run([sys.executable, *map(str, command)], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, *map(str, command)], capture_output=True, text=True, cwd=tempfile.gettempdir()
+    )
     return done.stdout if done.returncode == 0 else ""
 
 

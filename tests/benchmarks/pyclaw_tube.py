@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from clawpack import pyclaw, riemann
 
-sys.path.insert(0, str(Path(__file__).parent.parent.parent))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 from coupling.cases import CASES, exact_density
 
 
