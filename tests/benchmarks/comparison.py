@@ -9,7 +9,7 @@ from pathlib import Path
 
 from .structured import structured
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).resolve().parent
 TRIAL = HERE.parents[2] / "shared/experiments/transfer_speed_3d.py"  # not part of the repository
 
 

@@ -14,7 +14,7 @@ from coupling.spaces import PAIRS
 
 from .comparison import output
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).resolve().parent
 DATA, MESHES = HERE.parent / "data", HERE.parent.parent / "meshes"
 SOLVERS = {
     "one stage": {"scheme": "euler"},
