@@ -191,27 +191,33 @@ def test_explosion(tmp_path):
 
 
 def test_forward_step(tmp_path):
-    """Stand-off and stem of h = 0.0125, 0.285 and 0.24, to a cell; Rayleigh's pressure at the foot, where
-    four cells below the corner of the step make 10 %."""
+    """Stand-off and stem of h = 0.0125, 0.285 and 0.24, to a cell or two; Rayleigh's pressure at the foot, to
+    what four cells below the corner of the step make of it (2 % at h = 0.0125)."""
     result = run_demo("forward_step", tmp_path, "--h", "0.05")
     assert abs(result["stand_off"] - 0.285) < 0.05 and abs(result["stem"] - 0.24) < 0.1
-    assert result["foot"] == pytest.approx(1, abs=0.1)
+    assert result["foot"] == pytest.approx(1, abs=0.12)
     check_gas_files(result["record"], 8)
     assert (tmp_path / "forward_step.png").stat().st_size > 10_000
 
 
 def test_mach_diamond(tmp_path):
-    """The shocks cross on the axis, 0.98 widths of the nozzle above it (exact) and a cell and a half of
-    smeared shock (0.02 m are 0.16 widths; 1.15 and 1.06 at half and a quarter of that)."""
+    """The shocks cross on the axis, 0.98 widths of the nozzle above it (exact), and the place where the
+    pressure there passes 1.1 lies up to two cells behind (0.16 widths each; 1.06 at h = 0.00625)."""
     result = run_demo("mach_diamond", tmp_path, "--h", "0.02", "--until", "1")
-    assert 0.98 < result["crossing"] < 0.98 + 1.5 * 0.16
+    assert 0.98 < result["crossing"] < 0.98 + 2 * 0.16
     check_gas_files(result["record"], 10)
     assert (tmp_path / "mach_diamond.png").stat().st_size > 10_000
 
 
 def test_airfoil(tmp_path):
+    """Without an angle the irregular mesh alone makes lift, 1.2 % of the drag; the nose is behind a normal
+    shock (Rayleigh), four cells from it; the drag is that of half the mesh size, 0.0903, until 8 s."""
     result = run_demo("airfoil", tmp_path, "--mach", "2", "--angle", "0", "--h", "0.04", "--until", "3")
+    assert abs(result["lift"]) < 0.04 * result["drag"]
+    assert result["nose"] == pytest.approx(1, abs=0.15)
+    assert result["drag"] == pytest.approx(0.0903, rel=0.04)
     check_gas_files(result["record"], 20, ("lift", "drag"))
+    assert (tmp_path / "airfoil_cp.png").stat().st_size > 10_000
 
 
 def test_options_of_petsc_pass_and_others_do_not(capsys):
