@@ -52,10 +52,10 @@ def walls(d):
 
 
 def blast(x):
-    """A ball of dense gas at high pressure off the centre, moving, in gas at rest."""
+    """A ball of dense gas at twice the pressure off the centre, moving, in gas at rest."""
     inside = np.linalg.norm(x - 0.4, axis=1) < 0.25
     velocity = np.where(inside[:, None], 0.3, 0.0) * np.ones_like(x)
-    return np.where(inside, 1.0, 0.125), velocity, np.where(inside, 1.0, 0.1)
+    return np.where(inside, 1.0, 0.5), velocity, np.where(inside, 1.0, 0.5)
 
 
 def at_rest(density=1.0, pressure=1.0):

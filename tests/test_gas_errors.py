@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from gas_scenes import AIR, at_rest, even_box, jump, sod_tube, uneven_interval, walls
+from gas_scenes import AIR, at_rest, even_box, jump, sod_tube, walls
 from mesh_factory import rectangle
 
+import coupling.flow
 import fempm
 from coupling import Flow, IdealGas, Inflow, Outflow, Periodic, SlipWall, SubsonicInflow
 from fempm import SimulationError
@@ -119,14 +120,17 @@ def test_periodic_boundaries_that_do_not_match():
         flow(ends, mesh=mesh)
 
 
-def test_positivity_that_cannot_be_mended(tmp_path):
-    """Gas torn apart at Mach 10^7: its internal energy is 1e-14 of the kinetic one, hardly above round-off."""
-    initial = jump((1, -400, 1e-9), (1, 400, 1e-9))
-    gas = flow(initial=initial, mesh=fempm.interval_mesh(np.linspace(0, 1, 101)), pair="B2-B1")
-    with pytest.raises(
-        SimulationError, match=r"lost its positivity at time .* at \[0\..*\], .*; last state"
-    ) as error:
-        fempm.run(gas, 1.0, tmp_path / "lost", progress=False)
+def test_positivity_that_cannot_be_mended(tmp_path, monkeypatch):
+    """Gas torn apart at Mach 10^6, with a limiter that needs steps to be repeated there, which it may not."""
+    mesh, initial = fempm.interval_mesh(np.linspace(0, 1, 101)), jump((1, -40, 1e-9), (1, 40, 1e-9))
+    fine = flow(initial=initial, mesh=mesh, limiter="weno")
+    fempm.run(fine, 5e-3, progress=False)
+    assert fine.repeated > 0
+    monkeypatch.setattr(coupling.flow, "SMALLEST", 1.0)
+    gas = flow(initial=initial, mesh=mesh, limiter="weno")
+    message = r"lost its positivity at time .* at \[0\..*\], .*; last state"
+    with pytest.raises(SimulationError, match=message) as error:
+        fempm.run(gas, 5e-3, tmp_path / "lost", progress=False)
     assert (tmp_path / "lost_last.xdmf").exists()
     assert str(tmp_path / "lost_last.xdmf") in str(error.value)
 
