@@ -29,7 +29,7 @@ def around(mesh, fields, radii, rays=180):
 
 
 def main(argv=None):
-    options = {"h": (0.02, "mesh size in m"), "pair": (("B1-B0", "B2-B1"), "spaces of velocity and pressure")}
+    options = {"h": (0.01, "mesh size in m"), "pair": (("B1-B0", "B2-B1"), "spaces of velocity and pressure")}
     args = scene_arguments(__doc__, argv, until=0.25, every=0.05, threads=False, **options)
     mesh = fempm.read_mesh(MESHES / "tank.geo", h=args.h, W=2.0, H=2.0, x0=-1.0, y0=-1.0)
     walls = [SlipWall(name) for name in ("left", "right", "bottom", "top")]
