@@ -14,8 +14,8 @@ from coupling.limiters import NAMES
 from coupling.riemann import State, solution
 
 # Mean density error of Sod's tube at 400 cells: the numbers of the design note's prototype (2.26, 2.19,
-# 2.01, 2.5e-3 for MC, Koren, superbee, WENO; van Leer 2.3e-3) and 10 % for another start, the project's bound for the
-# default, and for first order what Kwatra's own scheme has, 5.1e-3, and a fifth.
+# 2.01, 2.5e-3 for MC, Koren, superbee, WENO; van Leer 2.3e-3) and 10 % for another start, the project's
+# bound for the default, and for first order what Kwatra's own scheme has, 5.1e-3, and a fifth.
 ERRORS = {
     "first_order": 6.1e-3,
     "van_leer": 2.53e-3,
