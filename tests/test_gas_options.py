@@ -1,12 +1,12 @@
 """Gas: limiters by name, equations of state of one's own, and that who needs no gas pays for none."""
 
 import subprocess
-import sys
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from gas_scenes import AIR, PAIRS, run, sod_tube
+from small_scene import command
 
 import fempm
 from coupling import Flow, Outflow
@@ -98,7 +98,8 @@ def test_speed_of_sound(eos, density, pressure, pair):
 def loaded(code):
     """Top-level packages that a program has loaded at its end."""
     code += "\nimport sys\nprint(*sorted({m.split('.')[0] for m in sys.modules}))"
-    out = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    start, env = command(1)  # without what MPI left in the environment here
+    out = subprocess.run([*start, "-c", code], check=True, capture_output=True, text=True, env=env)
     return set(out.stdout.split())
 
 
