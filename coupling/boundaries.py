@@ -59,17 +59,18 @@ class Outflow:
     """An open end: waves leave, and what comes in slowly takes the far state.
 
     Every outgoing wave passes; the deviations that incoming ones carry from the far state decay with
-    exp(-attenuation t), as in Kwatra et al. 2009. Faster than sound this is plain extrapolation.
+    exp(-attenuation t), as in Kwatra et al. 2009. Faster than sound this is plain extrapolation. A jet that
+    pumps gas out of a box needs a higher rate to keep the pressure around it.
 
     Attributes
     ----------
     boundary : name
-    attenuation : rate in 1/s
+    attenuation : rate in 1/s, half the far speed of sound over the size of the mesh when not given
     density, velocity, pressure : the far state, the initial one of each node when not given
     """
 
     boundary: str
-    attenuation: float = 0.5
+    attenuation: float | None = None
     density: float | None = None
     velocity: np.ndarray | None = None
     pressure: float | None = None
@@ -128,20 +129,22 @@ class Boundaries:
         projections = {i: np.eye(d) - np.linalg.pinv(n, 1e-6) @ n for i, n in normals.items()} | zero
         self.constrained = np.array(sorted(projections), int)
         self.project = np.array([projections[i] for i in self.constrained]).reshape(-1, d, d)
-        self.collect_outflows(space, outflows, initial)
+        self.collect_outflows(space, eos, outflows, initial)
 
-    def collect_outflows(self, space, outflows, initial):
+    def collect_outflows(self, space, eos, outflows, initial):
         """Fill in the arrays of the outflows, without the nodes at inflows."""
         area, rate, far = np.zeros_like(space.points), np.zeros(len(space.points)), initial.copy()
         d = space.dim
         for condition, part in outflows:
             area += part
             nodes = np.any(part != 0, axis=1)
-            rate[nodes] = condition.attenuation
             state = condition.density, condition.velocity, condition.pressure
             for value, column in zip(state, (0, slice(1, d + 1), d + 1)):
                 if value is not None:
                     far[nodes, column] = value
+            sound = np.sqrt(eos.bulk_modulus(far[nodes, 0], far[nodes, -1]) / far[nodes, 0])
+            usual = 0.5 * sound / np.ptp(space.points, axis=0).max()
+            rate[nodes] = usual if condition.attenuation is None else condition.attenuation
         area[self.fixed] = 0
         self.open = np.flatnonzero(np.any(area != 0, axis=1))
         self.open_area, self.far, self.attenuation = area[self.open], far[self.open], rate[self.open]

@@ -71,6 +71,8 @@ class Stages:
         part.sum_nodes(self.needed)
         graph = s.forward, s.backward
         advection.gradients(part.size, s.edges, *graph, s.volumes, W, self.needed, self.gradient)
+        if part.ranks.size > 1:
+            self.gradient[self.needed == 0] = 0  # what nobody has computed must not pile up
         part.sum_nodes(self.gradient)
         rate = np.zeros_like(U)
         chosen = self.limiter if limiter is None else limiter
