@@ -91,10 +91,10 @@ class Boundaries:
     constrained : (k,) nodes with a condition on their velocity
     project : (k, d, d) projections onto its free directions, zero at inflows
     fixed : (f,) nodes at inflows; fixed_state : (f, d + 2) their density, velocity and pressure;
-        fixed_normal : (f, d) outward there
+        fixed_area : (f, d) int phi_i n there
     floating : (f,) bool, the subsonic ones, whose pressure is that inside
-    open : (m,) nodes at outflows; open_area : (m, d) int phi_i n there; far : (m, d + 2) the far
-        density, velocity and pressure; attenuation : (m,)
+    open : (m,) nodes at outflows; open_area : (m, d) int phi_i n there; resistance : (m, d, d) the sum of
+        |int phi_i n| n n^T over outflows; far : (m, d + 2) density, velocity, pressure; attenuation : (m,)
 
     Raises
     ------
@@ -108,6 +108,7 @@ class Boundaries:
         facets = [np.asarray(mesh.facets(c.boundary)).reshape(-1, d) for c in conditions]
         check_disjoint(mesh, conditions, facets)
         walls, inflows, outflows = [], {}, []
+        fixed_area = np.zeros_like(space.points)
         for condition, f in zip(conditions, facets):
             if isinstance(condition, SlipWall):
                 walls.append(f)
@@ -115,14 +116,14 @@ class Boundaries:
                 area = boundary_areas(mesh, space, f)
                 nodes = np.flatnonzero(np.any(area != 0, axis=1))
                 state = inflow_state(condition, area[nodes], eos)
-                rows = zip(nodes.tolist(), state, area[nodes])
-                inflows |= {i: (s, not condition.supersonic, a / np.linalg.norm(a)) for i, s, a in rows}
+                fixed_area += area
+                inflows |= {i: (s, not condition.supersonic) for i, s in zip(nodes.tolist(), state)}
             else:
                 outflows.append((condition, boundary_areas(mesh, space, f)))
         self.fixed = np.array(sorted(inflows), int)
         self.fixed_state = np.array([inflows[i][0] for i in self.fixed]).reshape(-1, d + 2)
         self.floating = np.array([inflows[i][1] for i in self.fixed], bool)
-        self.fixed_normal = np.array([inflows[i][2] for i in self.fixed]).reshape(-1, d)
+        self.fixed_area = fixed_area[self.fixed]
         walls = np.concatenate([np.empty((0, d), int), *walls])
         normals = wall_normals(mesh, space, walls)
         zero = {i: np.zeros((d, d)) for i in inflows}
@@ -133,10 +134,13 @@ class Boundaries:
 
     def collect_outflows(self, space, eos, outflows, initial):
         """Fill in the arrays of the outflows, without the nodes at inflows."""
-        area, rate, far = np.zeros_like(space.points), np.zeros(len(space.points)), initial.copy()
-        d = space.dim
+        d, far = space.dim, initial.copy()
+        area, rate = np.zeros_like(space.points), np.zeros(len(space.points))
+        resistance = np.zeros((*area.shape, d))
         for condition, part in outflows:
             area += part
+            size = np.maximum(np.linalg.norm(part, axis=1), 1e-300)
+            resistance += part[:, :, None] * (part / size[:, None])[:, None, :]
             nodes = np.any(part != 0, axis=1)
             state = condition.density, condition.velocity, condition.pressure
             for value, column in zip(state, (0, slice(1, d + 1), d + 1)):
@@ -147,14 +151,15 @@ class Boundaries:
             rate[nodes] = usual if condition.attenuation is None else condition.attenuation
         area[self.fixed] = 0
         self.open = np.flatnonzero(np.any(area != 0, axis=1))
-        self.open_area, self.far, self.attenuation = area[self.open], far[self.open], rate[self.open]
+        self.open_area, self.resistance = area[self.open], resistance[self.open]
+        self.far, self.attenuation = far[self.open], rate[self.open]
 
     def restrict(self, nodes):
         """Keep only the conditions at these nodes (sorted), numbered by their place among them."""
         for index, columns in (
             ("constrained", ("project",)),
-            ("fixed", ("fixed_state", "fixed_normal", "floating")),
-            ("open", ("open_area", "far", "attenuation")),
+            ("fixed", ("fixed_state", "fixed_area", "floating")),
+            ("open", ("open_area", "resistance", "far", "attenuation")),
         ):
             kept = np.isin(getattr(self, index), nodes)
             for name in columns:

@@ -14,8 +14,9 @@ from . import advection, limiters
 from .boundaries import Boundaries, Periodic, check_covered
 from .initial import initial_state
 from .partition import Part
+from .pressure import StepFailed
 from .spaces import build_space
-from .stages import LostPositivity, Stages
+from .stages import Stages
 
 SCHEMES = ("imex", "euler")
 GAMMA = 1 - 1 / np.sqrt(2)  # of the two-stage scheme
@@ -46,7 +47,7 @@ class Flow:
     ----------
     U : (n, d + 2) density, momentum, total energy per volume at this rank's nodes
     stages : Stages, with `stages.iterations` of each pressure solve
-    repeated : steps that would have lost positivity and were repeated in halves
+    repeated : steps that would have lost positivity, or did not converge, and were repeated in halves
     """
 
     particles = None
@@ -83,7 +84,7 @@ class Flow:
         self.time, self.dt, self.steps, self.repeated = 0.0, 0.0, 0, 0
 
     def step(self, dt):
-        """Advance by dt, in two halves where that would lose positivity."""
+        """Advance by dt, in two halves where that fails."""
         self.advance(dt, dt)
         self.time += dt
         self.steps += 1
@@ -92,9 +93,9 @@ class Flow:
         """One step, or two of half its length."""
         try:
             self.U = self.one_step(self.U, dt) if dt == whole else self.safe_step(self.U, dt)
-        except (LostPositivity, RemoteError) as lost:
+        except (StepFailed, RemoteError) as problem:
             if dt <= SMALLEST * whole:
-                raise self.failure(lost) from None
+                raise self.failure(problem) from None
             self.repeated += 1
             self.advance(dt / 2, whole)
             self.advance(dt / 2, whole)
@@ -106,7 +107,7 @@ class Flow:
     def one_step(self, U, dt, scheme=None, limiter=None):
         """The conserved variables after a step."""
         stages = self.stages
-        stages.begin_step(U)
+        stages.begin_step(U, dt)
         if (scheme or self.scheme) == "euler":
             ahead = U + dt * stages.advection(U, limiter)
             U = stages.implicit_pressure(0.5 * (U + ahead + dt * stages.advection(ahead, limiter)), dt)
@@ -121,10 +122,10 @@ class Flow:
         stages.primitive(U)
         return U
 
-    def failure(self, lost):
+    def failure(self, problem):
         """The error that ends a run."""
         return SimulationError(
-            f"the gas lost its positivity at time {self.time:.6g}, {lost}, even with a step of "
+            f"the gas could not go on from time {self.time:.6g}, {problem}, even with a step of "
             f"{SMALLEST:.2g} of the stable one: refine the mesh there or take a smaller cfl"
         )
 

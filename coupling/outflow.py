@@ -6,8 +6,9 @@ import numpy as np
 class OpenEnds:
     """The nodes at outflows.
 
-    The pressure there is p + Z (u - u_inside) . n, that of the wave which leaves: p and u_inside are those of
-    the cells inside at the beginning of a step, Z = rho c the impedance, u the unknown velocity of the node.
+    The pressure there is p + Z (u - u_in) . n, that of the wave which leaves, with the unknown velocity u of
+    the node and the impedance Z = rho c. p and u_in are those of the cells inside as a step begins, or,
+    the more so the more cells sound crosses in it, those of the far state.
 
     Parameters
     ----------
@@ -18,34 +19,44 @@ class OpenEnds:
     Attributes
     ----------
     nodes : (m,) their numbers
-    area : (m, d) int phi_i n, of length `size` and direction `normal`
-    impedance, carried : (m,) Z, and p - Z u_inside . n, in the present step
+    area : (m, d) int phi_i n; normal : (m, d) its direction
+    resistance : (m, d, d) sum of |int phi_i n| n n^T over the ends that meet at a node
+    impedance, carried : (m,) Z, and (m, d) int phi_i (p - Z u_in . n) n, in the present step
     """
 
     def __init__(self, part, conditions, eos):
         self.part, self.eos = part, eos
         self.nodes, self.area, self.far = conditions.open, conditions.open_area, conditions.far
-        self.attenuation = conditions.attenuation
-        self.size = np.linalg.norm(self.area, axis=1)
-        self.normal = self.area / np.maximum(self.size, 1e-300)[:, None]
+        self.attenuation, self.resistance = conditions.attenuation, conditions.resistance
+        size = np.linalg.norm(self.area, axis=1)
+        self.normal = self.area / np.maximum(size, 1e-300)[:, None]
         self.inside = Inside(part, self.nodes, self.normal)
+        self.width = (2 * part.space.volumes[self.nodes]) ** (1 / part.space.dim)
 
-    def begin_step(self, W, pressure):
+    def begin_step(self, W, pressure, dt):
         """Look at the gas inside: W (n, d + 2) its density, velocity and internal energy."""
         p, density, *velocity = self.inside.means(W[:, 0].copy(), np.stack([pressure, *W[:, :-1].T]))
-        self.impedance = np.sqrt(self.eos.bulk_modulus(density, p) * density)
-        self.carried = p - self.impedance * np.sum(np.array(velocity).T * self.normal, axis=1)
+        velocity = np.array(velocity).T
+        sound = np.sqrt(self.eos.bulk_modulus(density, p) / density)
+        crossed = np.maximum(sound * dt / self.width - 1, 0)
+        crossed[np.sum(velocity * self.normal, axis=1) > sound] = 0  # nothing comes in
+        known = 1 / (1 + crossed**2)
+        p = self.far[:, -1] + known * (p - self.far[:, -1])
+        velocity = self.far[:, 1:-1] + known[:, None] * (velocity - self.far[:, 1:-1])
+        self.impedance = density * sound
+        back = np.einsum("kab,kb->ka", self.resistance, velocity)
+        self.carried = p[:, None] * self.area - self.impedance[:, None] * back
 
     def mobility(self, free, ratio):
-        """(m, d, d) inverse of 1 + ratio n n^T on the directions that `free` (m, d, d) projects onto."""
-        normal = np.einsum("kab,kb->ka", free, self.normal)
-        share = ratio / (1 + ratio * np.sum(normal**2, axis=1))
-        return free - share[:, None, None] * normal[:, :, None] * normal[:, None, :]
+        """(m, d, d) inverse of 1 + ratio K on the directions that `free` (m, d, d) projects onto."""
+        resisted = np.einsum("kab,kbc,kcd->kad", free, self.resistance, free)
+        return np.linalg.inv(np.eye(free.shape[1]) + ratio[:, None, None] * resisted) @ free
 
     def power(self, velocity):
         """(m,) work of the gas on what is outside, per time."""
-        through = np.sum(velocity[self.nodes] * self.normal, axis=1)
-        return (self.carried + self.impedance * through) * through * self.size
+        u = velocity[self.nodes]
+        push = np.einsum("kab,kb->ka", self.resistance, u) * self.impedance[:, None]
+        return np.sum((self.carried + push) * u, axis=1)
 
     def attenuate(self, W, pressure, dt):
         """(m, d + 2) density, velocity and pressure, what incoming waves carry damped towards the far state.

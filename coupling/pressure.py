@@ -14,8 +14,6 @@ import sys
 import numpy as np
 from numba import njit
 
-from fempm.solver import SimulationError
-
 from .advection import options
 
 
@@ -149,6 +147,10 @@ def add_diagonal(nodes, dofs, squares, inverse, out):
         out[dofs[k]] += squares[k] * inverse[nodes[k]]
 
 
+class StepFailed(ArithmeticError):
+    """A step that cannot be made with its length."""
+
+
 class PressureSystem:
     """The matrix S + dt A^T M^-1 A, applied cell by cell, and its PETSc solver.
 
@@ -201,7 +203,7 @@ class PressureSystem:
 
         Raises
         ------
-        SimulationError
+        StepFailed
             if PETSc did not converge, with its reason
         """
         self.dt, self.stiffness, self.mass = dt, stiffness, (inverse, special, tensors)
@@ -210,9 +212,9 @@ class PressureSystem:
         self.ksp.solve(self.right, self.left)
         self.iterations = self.ksp.getIterationNumber()
         if self.ksp.getConvergedReason() < 0:
-            raise SimulationError(
-                f"the pressure did not converge in {self.iterations} iterations of PETSc "
-                f"(reason {self.ksp.getConvergedReason()}): take a smaller time step or -ksp_max_it"
+            raise StepFailed(
+                f"pressure not converged in {self.iterations} iterations of PETSc "
+                f"(reason {self.ksp.getConvergedReason()})"
             )
         return self.part.spread(self.left.array_r)
 

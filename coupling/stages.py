@@ -17,7 +17,7 @@ STILL = 1e-9  # gas slower than this share of the speed of sound carries nothing
 SHOCK = 0.003  # compression in one step from which a wave counts as a shock
 
 
-class LostPositivity(ArithmeticError):
+class LostPositivity(pressure.StepFailed):
     """Density or internal energy that is not positive."""
 
 
@@ -46,8 +46,9 @@ class Stages:
         self.gradient, self.active = np.empty((n, d + 2, d)), np.empty(len(part.space.edges), np.int32)
         self.needed = np.empty(n, np.uint8)
         self.fixed, self.floating = conditions.fixed, np.flatnonzero(conditions.floating)
-        self.fixed_state = conditions.fixed_state
-        self.beside = Inside(part, self.fixed, conditions.fixed_normal)
+        self.fixed_state, self.fixed_area = conditions.fixed_state, conditions.fixed_area
+        inward = self.fixed_area / np.linalg.norm(self.fixed_area, axis=1, keepdims=True)
+        self.beside = Inside(part, self.fixed, inward)
         self.open = OpenEnds(part, conditions, eos)
         self.any_open, self.any_floating = (
             part.ranks.max(len(k)) > 0 for k in (self.open.nodes, self.floating)
@@ -57,10 +58,10 @@ class Stages:
         self.free[np.searchsorted(self.special, conditions.constrained)] = conditions.project
         self.open_special = np.searchsorted(self.special, conditions.open)
 
-    def begin_step(self, U):
+    def begin_step(self, U, dt):
         """Look at the gas inside of open ends."""
         if self.any_open:
-            self.open.begin_step(*self.primitive(U))
+            self.open.begin_step(*self.primitive(U), dt)
 
     def advection(self, U, limiter=None):
         """Rate of change (n, d + 2) of the conserved variables by transport with the gas. Collective."""
@@ -80,6 +81,7 @@ class Stages:
         part.sum_nodes(rate)
         rate[ends.nodes] -= np.sum(W[ends.nodes, 1:-1] * ends.area, axis=1)[:, None] * U[ends.nodes]
         rate /= s.volumes[:, None]
+        rate[self.fixed] = 0
         return rate
 
     def limited(self, U, change):
@@ -104,6 +106,8 @@ class Stages:
         """
         part, s, ends = self.part, self.part.space, self.open
         W, p = self.primitive(U if star is None else star)
+        if star is not None:
+            self.check_density(U)
         bulk = self.eos.bulk_modulus(W[:, 0], p)
         carried = bulk - self.eos.heating(W[:, 0], p) * p
         velocity, inverse, around = np.empty_like(s.points), np.empty(len(U)), np.empty(len(U))
@@ -117,7 +121,7 @@ class Stages:
         )
         tensors = self.free.copy()
         if len(ends.nodes):
-            ratio = dt * ends.impedance * ends.size * inverse[ends.nodes]
+            ratio = dt * ends.impedance * inverse[ends.nodes]
             tensors[self.open_special] = ends.mobility(tensors[self.open_special], ratio)
         mass = inverse, self.special, tensors
 
@@ -125,7 +129,7 @@ class Stages:
         star, stiff = part.means(np.ascontiguousarray(U[:, 0]), around, bulk)
         force = part.pressure_force(star, np.empty_like(velocity))
         if len(ends.nodes):
-            force[ends.nodes] -= ends.carried[:, None] * ends.area
+            force[ends.nodes] -= ends.carried
         velocity /= inverse[:, None]
         velocity += dt * force
         pressure.divide_by_mass(part.size, *mass, velocity)
@@ -153,8 +157,9 @@ class Stages:
         s, ends, out = self.part.space, self.open, np.zeros(len(velocity))
         advection.add_outflow(self.part.size, s.edges, s.forward, s.backward, velocity, values, out)
         self.part.sum_nodes(out)
-        through = np.sum(velocity[ends.nodes] * ends.area, axis=1)
-        out[ends.nodes] += through if values is None else through * values[ends.nodes]
+        for nodes, area in ((ends.nodes, ends.area), (self.fixed, self.fixed_area)):
+            through = np.sum(velocity[nodes] * area, axis=1)
+            out[nodes] += through if values is None else through * values[nodes]
         return out
 
     def inflow_state(self, U, pressure):
@@ -184,6 +189,14 @@ class Stages:
             lost = LostPositivity(f"density {density:.6g}, internal energy {energy:.6g} at {x}")
         self.part.ranks.raise_together(lost)
         return W, self.eos.pressure(W[:, 0], W[:, -1])
+
+    def check_density(self, U):
+        """Raise LostPositivity on all ranks if a density is not positive. Collective."""
+        worst, lost = int(np.argmin(U[:, 0])), None
+        if not U[worst, 0] > 0:
+            x = self.part.space.points[worst].round(6).tolist()
+            lost = LostPositivity(f"density {U[worst, 0]:.6g} at {x}")
+        self.part.ranks.raise_together(lost)
 
     def from_primitive(self, state):
         """Conserved variables of density, velocity and pressure (k, d + 2)."""
