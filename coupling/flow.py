@@ -47,7 +47,7 @@ class Flow:
     ----------
     U : (n, d + 2) density, momentum, total energy per volume at this rank's nodes
     stages : Stages, with `stages.iterations` of each pressure solve
-    repeated : steps that would have lost positivity, or did not converge, and were repeated in halves
+    repeated : steps that would have lost positivity and were repeated in halves
     """
 
     particles = None

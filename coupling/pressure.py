@@ -14,6 +14,8 @@ import sys
 import numpy as np
 from numba import njit
 
+from fempm.solver import SimulationError
+
 from .advection import options
 
 
@@ -203,19 +205,26 @@ class PressureSystem:
 
         Raises
         ------
+        SimulationError
+            if PETSc needs more iterations than it may have
         StepFailed
-            if PETSc did not converge, with its reason
+            if it breaks down, with its reason
         """
+        from petsc4py import PETSc
+
         self.dt, self.stiffness, self.mass = dt, stiffness, (inverse, special, tensors)
         self.right.array[:] = rhs[self.part.owned]
         self.ksp.getOperators()[0].assemble()
         self.ksp.solve(self.right, self.left)
         self.iterations = self.ksp.getIterationNumber()
-        if self.ksp.getConvergedReason() < 0:
-            raise StepFailed(
-                f"pressure not converged in {self.iterations} iterations of PETSc "
-                f"(reason {self.ksp.getConvergedReason()})"
+        reason = self.ksp.getConvergedReason()
+        if reason == PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT:
+            raise SimulationError(
+                f"the pressure did not converge in {self.iterations} iterations of PETSc: "
+                "take a smaller time step or a higher -ksp_max_it"
             )
+        if reason < 0:
+            raise StepFailed(f"PETSc cannot solve for the pressure (reason {reason})")
         return self.part.spread(self.left.array_r)
 
     def mult(self, matrix, x, y):
