@@ -1,7 +1,6 @@
 """Wind over an airfoil (NACA 0012), near and above the speed of sound, ten chords of air around it.
 
-Exact: the pressure coefficient at the nose. Others' inviscid solutions (AGARD AR-211) at Mach 0.8 and 1.25
-degrees: lift 0.34 to 0.37, drag 0.021 to 0.024, shock at 0.6 to 0.64; without angle drag 0.008 to 0.009."""
+Exact: the pressure coefficient where the wind comes to rest at the nose; at Mach 2 behind a normal shock."""
 
 from pathlib import Path
 
