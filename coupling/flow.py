@@ -181,6 +181,7 @@ class Flow:
             "least_pressure": self.ranks.min(pressure.min()),
             "iterations": max(solves),
             "repeated": self.repeated,
+            "limited": self.ranks.sum(self.stages.cut),
         }
 
     def save(self, path):

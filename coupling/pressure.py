@@ -91,7 +91,9 @@ def before_solve(size, U, pressure, carried, expansion, shock, dt, volumes, grav
 
     What advection has compressed comes off the pressure again, since the implicit part acts on all of
     rho c^2 div u. Not in shocks: there, counting the compression twice is the bulk viscosity that they need.
+    Nor where little pressure would be left; returns at how many nodes.
     """
+    kept = 0
     for i in range(len(U)):
         inverse[i] = 1.0 / (volumes[i] * U[i, 0])
         for a in range(len(size)):
@@ -103,6 +105,8 @@ def before_solve(size, U, pressure, carried, expansion, shock, dt, volumes, grav
         star[i] = pressure[i] + carried[i] * step * smooth
         if not star[i] > 0.25 * pressure[i]:
             star[i] = pressure[i]
+            kept += 1
+    return kept
 
 
 @njit(**options)

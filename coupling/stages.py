@@ -35,7 +35,7 @@ class Stages:
     Attributes
     ----------
     iterations : of each pressure solve
-    cut : nodes at which an extrapolation between stages was shortened, see `limited`
+    cut : how often an extrapolation between stages was shortened at a node, see `limited`
     """
 
     def __init__(self, part, eos, conditions, limiter, gravity):
@@ -116,7 +116,7 @@ class Stages:
             before = advected[:, 1:-1] / advected[:, :1]
             expansion = self.outflow_of(before)
         volumes, gravity = s.volumes, self.gravity
-        pressure.before_solve(
+        self.cut += pressure.before_solve(
             part.size, U, p, carried, expansion, SHOCK, dt, volumes, gravity, velocity, inverse, around
         )
         tensors = self.free.copy()
