@@ -14,6 +14,7 @@ import sys
 import numpy as np
 from numba import njit
 
+from fempm.cli import split_petsc
 from fempm.solver import SimulationError
 
 from .advection import options
@@ -188,7 +189,7 @@ class PressureSystem:
         matrix = PETSc.Mat().createPython(sizes, self, comm)
         matrix.setOption(PETSc.Mat.Option.SPD, True)
         matrix.setUp()
-        for name, value in command_line_options(sys.argv):
+        for name, value in split_petsc(sys.argv)[1]:
             PETSc.Options().setValue(name, value)
         self.ksp = PETSc.KSP().create(comm)
         self.ksp.setOperators(matrix)
@@ -249,15 +250,3 @@ class PressureSystem:
         sums = self.stiffness.copy()
         add_diagonal(*self.part.pairs, self.dt * effective, sums)
         diagonal.array[:] = sums[self.part.owned]
-
-
-def command_line_options(argv):
-    """Pairs (name, value) of the PETSc options -ksp_... and -pc_... among the arguments of a program."""
-    starts = [k for k, word in enumerate(argv) if word.startswith(("-ksp_", "-pc_"))]
-    values = [argv[k + 1] if k + 1 < len(argv) and is_value(argv[k + 1]) else "" for k in starts]
-    return [(argv[k][1:], value) for k, value in zip(starts, values)]
-
-
-def is_value(word):
-    """Whether a word of the command line is no option."""
-    return not word.startswith("-") or word[1:2].isdigit()

@@ -47,8 +47,8 @@ class Stages:
         self.needed = np.empty(n, np.uint8)
         self.fixed, self.floating = conditions.fixed, np.flatnonzero(conditions.floating)
         self.fixed_state, self.fixed_area = conditions.fixed_state, conditions.fixed_area
-        inward = self.fixed_area / np.linalg.norm(self.fixed_area, axis=1, keepdims=True)
-        self.beside = Inside(part, self.fixed, inward)
+        outward = self.fixed_area / np.linalg.norm(self.fixed_area, axis=1, keepdims=True)
+        self.beside = Inside(part, self.fixed, outward)
         self.open = OpenEnds(part, conditions, eos)
         self.any_open, self.any_floating = (
             part.ranks.max(len(k)) > 0 for k in (self.open.nodes, self.floating)

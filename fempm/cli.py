@@ -57,21 +57,23 @@ def scene_arguments(description, argv=None, *, until, every=None, threads=True, 
     add("checkpoint_every", None, text, type=float, metavar="SECONDS")
     if threads:
         add("threads", 1, "threads of the transfers", type=int)
-    return parser.parse_args(without_petsc(sys.argv[1:] if argv is None else argv))
+    return parser.parse_args(split_petsc(sys.argv[1:] if argv is None else argv)[0])
 
 
-def without_petsc(argv):
-    """The arguments without PETSc's options and their values."""
-    kept, skip = [], False
+def split_petsc(argv):
+    """The arguments without PETSc's options -ksp_... and -pc_..., and these as pairs (name, value or "")."""
+    kept, petsc, open_option = [], [], False
     for word in argv:
         if word.startswith(PETSC):
-            skip = True
-        elif skip and (not word.startswith("-") or word[1:2].isdigit()):
-            skip = False
+            petsc.append((word[1:], ""))
+            open_option = True
+        elif open_option and (not word.startswith("-") or word[1:2].isdigit()):
+            petsc[-1] = (petsc[-1][0], word)
+            open_option = False
         else:
             kept.append(word)
-            skip = False
-    return kept
+            open_option = False
+    return kept, petsc
 
 
 def run_options(args):

@@ -351,10 +351,8 @@ class Simulation:
         fields = self.ranks.sum(fields)
         mass, momentum = fields[:, 0], fields[:, 1:]
         seen = mass > self.smallest_mass
-        return {
-            "mass": mass,
-            "velocity": np.where(seen[:, None], momentum / np.where(seen, mass, 1)[:, None], 0),
-        }
+        velocity = np.where(seen[:, None], momentum / np.where(seen, mass, 1)[:, None], 0)
+        return {"mass": mass, "velocity": velocity}
 
     def gather(self, name):
         """One array of all ranks' particles in the order of `id`, for instance "position". Collective."""
