@@ -106,8 +106,11 @@ def gradients(size, edges, forward, backward, volumes, W, needed, out):
 
 # with no thought of NaN, which `primitive` rules out, the compiler limits all slopes of an edge at once
 @njit(**(options | {"fastmath": True}))
-def add_fluxes(size, active, edges, vectors, forward, backward, W, gradient, limiter, out):
-    """Subtract from `out` (n, d + 2) the fluxes that leave each node through the active edges."""
+def add_fluxes(size, active, edges, vectors, forward, backward, W, gradient, limiter, openness, out):
+    """Subtract from `out` (n, d + 2) the fluxes that leave each node through the active edges.
+
+    `openness` (ne,) is the share of each dual face that is open, or None.
+    """
     L, R = np.empty(len(size) + 2), np.empty(len(size) + 2)
     for index in range(len(active)):
         e = active[index]
@@ -139,6 +142,10 @@ def add_fluxes(size, active, edges, vectors, forward, backward, W, gradient, lim
             right += R[1 + c] * n
             kinetic_left += L[1 + c] * L[1 + c]
             kinetic_right += R[1 + c] * R[1 + c]
+        if openness is not None:
+            flow *= openness[e]
+            left *= openness[e]
+            right *= openness[e]
         speed = max(abs(left), abs(right))
         left, right = 0.5 * (flow + speed), 0.5 * (flow - speed)
         mass = left * L[0] + right * R[0]
@@ -174,8 +181,11 @@ def step_rates(size, edges, forward, backward, volumes, W, pressure, rate, slope
 
 
 @njit(**options)
-def add_outflow(size, edges, forward, backward, velocity, values, out):
-    """Add to `out` (n,) what central fluxes of `values` (n,), or 1 for None, carry out of each node."""
+def add_outflow(size, edges, forward, backward, velocity, values, openness, out):
+    """Add to `out` (n,) what central fluxes of `values` (n,), or 1 for None, carry out of each node.
+
+    `openness` (ne,) is the share of each dual face that is open, or None.
+    """
     for e in range(len(edges)):
         i, j = edges[e, 0], edges[e, 1]
         flow = 0.0
@@ -183,5 +193,7 @@ def add_outflow(size, edges, forward, backward, velocity, values, out):
             flow += 0.5 * (velocity[i, c] + velocity[j, c]) * (forward[e, c] - backward[e, c])
         if values is not None:
             flow *= 0.5 * (values[i] + values[j])
+        if openness is not None:
+            flow *= openness[e]
         out[i] += flow
         out[j] -= flow

@@ -51,6 +51,7 @@ class Flow:
     """
 
     particles = None
+    stages_kind = Stages
 
     def __init__(
         self,
@@ -78,7 +79,7 @@ class Flow:
         conditions = Boundaries(mesh, whole, boundaries, eos, states)
         states[conditions.fixed] = conditions.fixed_state
         conditions.restrict(self.part.nodes)
-        self.stages = Stages(self.part, eos, conditions, limiters.known(limiter), gravity)
+        self.stages = self.stages_kind(self.part, eos, conditions, limiters.known(limiter), gravity)
         self.U = self.stages.from_primitive(states[self.part.nodes])
         self.width = self.part.space.volumes ** (1 / mesh.dim)
         self.time, self.dt, self.steps, self.repeated = 0.0, 0.0, 0, 0

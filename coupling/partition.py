@@ -146,6 +146,14 @@ class Part:
         out[numbers] = self.ranks.concatenate(array[self.mine])
         return out
 
+    def gather_dofs(self, values):
+        """Values (nq,) of the pressure dofs of the whole, on all ranks. Collective."""
+        if self.ranks.size == 1:
+            return values
+        out = np.empty(len(self.whole.pressure_volumes))
+        out[self.ranks.concatenate(self.dofs[self.owned])] = self.ranks.concatenate(values[self.owned])
+        return out
+
     def total(self, array):
         """Sum over all nodes of m_i times `array` (n, ...). Collective."""
         s = self.space

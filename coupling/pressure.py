@@ -199,7 +199,7 @@ class PressureSystem:
         self.ksp.setFromOptions()
         self.right, self.left = matrix.createVecs()
 
-    def solve(self, dt, stiffness, inverse, special, tensors, rhs):
+    def solve(self, dt, stiffness, inverse, special, tensors, rhs, mobility=None):
         """Solve (stiffness + dt A^T M^-1 A) x = rhs; returns x (nq,).
 
         Parameters
@@ -207,6 +207,8 @@ class PressureSystem:
         dt : time step
         stiffness, rhs : (nq,)
         inverse, special, tensors : M^-1, see `divide_by_mass`
+        mobility : function that applies M^-1 in place to (n, d), where it is not these blocks; they then are
+            what its diagonal is taken from
 
         Raises
         ------
@@ -218,6 +220,7 @@ class PressureSystem:
         from petsc4py import PETSc
 
         self.dt, self.stiffness, self.mass = dt, stiffness, (inverse, special, tensors)
+        self.mobility = mobility
         self.right.array[:] = rhs[self.part.owned]
         self.ksp.getOperators()[0].assemble()
         self.ksp.solve(self.right, self.left)
@@ -237,7 +240,10 @@ class PressureSystem:
         part = self.part
         self.pressure[:] = part.spread(x.array_r)
         force = part.pressure_force(self.pressure, self.velocity)
-        divide_by_mass(part.size, *self.mass, force)
+        if self.mobility is None:
+            divide_by_mass(part.size, *self.mass, force)
+        else:
+            self.mobility(force)
         part.divergence(force, self.result)
         add_stiffness(self.dt, self.stiffness, self.pressure, self.result)
         y.array[:] = self.result[part.owned]

@@ -7,6 +7,8 @@ order, and the time step knows no speed of sound. The one stage of the thesis (3
 2009 leaves the compression in the advection, which is of first order in time.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from . import advection, pressure
@@ -15,6 +17,23 @@ from .outflow import Inside, OpenEnds
 
 STILL = 1e-9  # gas slower than this share of the speed of sound carries nothing
 SHOCK = 0.003  # compression in one step from which a wave counts as a shock
+
+
+@dataclass
+class Before:
+    """A stage before its pressure is known: (n,) arrays at the nodes, and velocities (n, d).
+
+    `pressure`, its stiffness `bulk` = rho c^2, P* (`star`), internal energy per volume, the velocity that
+    inertia keeps, 1 / (m rho), and the velocity `old` of the advection, None where that keeps its compression.
+    """
+
+    pressure: np.ndarray
+    bulk: np.ndarray
+    star: np.ndarray
+    internal: np.ndarray
+    velocity: np.ndarray
+    inverse: np.ndarray
+    old: np.ndarray | None
 
 
 class LostPositivity(pressure.StepFailed):
@@ -42,6 +61,7 @@ class Stages:
         self.part, self.eos, self.limiter, self.gravity = part, eos, limiter, gravity
         self.system = pressure.PressureSystem(part)
         self.iterations, self.cut = [], 0
+        self.openness, self.volumes = None, part.space.volumes  # all of them open to the gas
         n, d = part.space.points.shape
         self.gradient, self.active = np.empty((n, d + 2, d)), np.empty(len(part.space.edges), np.int32)
         self.needed = np.empty(n, np.uint8)
@@ -75,12 +95,15 @@ class Stages:
         if part.ranks.size > 1:
             self.gradient[self.needed == 0] = 0  # what nobody has computed must not pile up
         part.sum_nodes(self.gradient)
+        self.flatten(self.gradient)
         rate = np.zeros_like(U)
         chosen = self.limiter if limiter is None else limiter
-        advection.add_fluxes(part.size, active, s.edges, s.vectors, *graph, W, self.gradient, chosen, rate)
+        states = W, self.gradient, chosen, self.openness
+        advection.add_fluxes(part.size, active, s.edges, s.vectors, *graph, *states, rate)
         part.sum_nodes(rate)
-        rate[ends.nodes] -= np.sum(W[ends.nodes, 1:-1] * ends.area, axis=1)[:, None] * U[ends.nodes]
-        rate /= s.volumes[:, None]
+        through = np.sum(W[ends.nodes, 1:-1] * ends.area, axis=1) * self.open_share(ends.nodes)
+        rate[ends.nodes] -= through[:, None] * U[ends.nodes]
+        rate /= self.volumes[:, None]
         rate[self.fixed] = 0
         return rate
 
@@ -105,32 +128,13 @@ class Stages:
         star : state whose pressure is linearised about, U itself when not given
         """
         part, s, ends = self.part, self.part.space, self.open
-        W, p = self.primitive(U if star is None else star)
-        if star is not None:
-            self.check_density(U)
-        bulk = self.eos.bulk_modulus(W[:, 0], p)
-        carried = bulk - self.eos.heating(W[:, 0], p) * p
-        velocity, inverse, around = np.empty_like(s.points), np.empty(len(U)), np.empty(len(U))
-        expansion = np.zeros(len(U))
-        if advected is not None:
-            before = advected[:, 1:-1] / advected[:, :1]
-            expansion = self.outflow_of(before)
-        volumes, gravity = s.volumes, self.gravity
-        self.cut += pressure.before_solve(
-            part.size, U, p, carried, expansion, SHOCK, dt, volumes, gravity, velocity, inverse, around
-        )
-        tensors = self.free.copy()
-        if len(ends.nodes):
-            ratio = dt * ends.impedance * inverse[ends.nodes]
-            tensors[self.open_special] = ends.mobility(tensors[self.open_special], ratio)
-        mass = inverse, self.special, tensors
+        before = self.before_pressure(U, dt, advected, star)
+        mass = before.inverse, self.special, self.free_directions(dt, before.inverse)
 
         # means over the mass of a cell, not its volume: rarefactions that begin at a jump lag less behind
-        star, stiff = part.means(np.ascontiguousarray(U[:, 0]), around, bulk)
-        force = part.pressure_force(star, np.empty_like(velocity))
-        if len(ends.nodes):
-            force[ends.nodes] -= ends.carried
-        velocity /= inverse[:, None]
+        star, stiff = part.means(np.ascontiguousarray(U[:, 0]), before.star, before.bulk)
+        force = self.force(star)
+        velocity = before.velocity / before.inverse[:, None]
         velocity += dt * force
         pressure.divide_by_mass(part.size, *mass, velocity)
         velocity[self.fixed] = self.fixed_state[:, 1:-1]
@@ -144,23 +148,67 @@ class Stages:
         work = part.work(star + increment, velocity)
         if len(ends.nodes):
             work[ends.nodes] -= ends.power(velocity)
+        return self.after_pressure(U, dt, before, velocity, work)
+
+    def before_pressure(self, U, dt, advected, star):
+        """What a stage knows before it solves for the pressure, see `implicit_pressure`."""
+        W, p = self.primitive(U if star is None else star)
+        if star is not None:
+            self.check_density(U)
+        bulk = self.eos.bulk_modulus(W[:, 0], p)
+        carried = bulk - self.eos.heating(W[:, 0], p) * p
+        old = None if advected is None else advected[:, 1:-1] / advected[:, :1]
+        expansion = np.zeros(len(U)) if old is None else self.outflow_of(old)
+        velocity, inverse, around = np.empty((len(U), self.part.space.dim)), np.empty(len(U)), np.empty(len(U))
+        fixed = dt, self.part.space.volumes, self.gravity
+        self.cut += pressure.before_solve(
+            self.part.size, U, p, carried, expansion, SHOCK, *fixed, velocity, inverse, around
+        )
+        return Before(p, bulk, around, np.ascontiguousarray(W[:, -1]), velocity, inverse, old)
+
+    def force(self, values):
+        """(n, d) force of the pressure and of what is behind open ends. Collective."""
+        force = self.part.pressure_force(values, np.empty_like(self.part.space.points))
+        if len(self.open.nodes):
+            force[self.open.nodes] -= self.open.carried
+        return force
+
+    def after_pressure(self, U, dt, before, velocity, work):
+        """Conserved variables with the new velocity (n, d) and the power (n,) of the pressure. Collective."""
         outflow = np.zeros(len(U))
-        if advected is not None:
-            outflow = self.outflow_of(velocity - before, np.ascontiguousarray(W[:, -1]))
+        if before.old is not None:
+            outflow = self.outflow_of(velocity - before.old, before.internal)
         out = np.empty_like(U)
-        pressure.after_solve(part.size, velocity, work, outflow, dt, volumes, gravity, U, out)
-        out[self.fixed] = self.inflow_state(U, p)
+        fixed = dt, self.part.space.volumes, self.gravity
+        pressure.after_solve(self.part.size, velocity, work, outflow, *fixed, U, out)
+        out[self.fixed] = self.inflow_state(U, before.pressure)
         return out
+
+    def free_directions(self, dt, inverse):
+        """(k, d, d) what walls and open ends leave of the velocity that a force makes at the special nodes."""
+        tensors, ends = self.free.copy(), self.open
+        if len(ends.nodes):
+            ratio = dt * ends.impedance * inverse[ends.nodes]
+            tensors[self.open_special] = ends.mobility(tensors[self.open_special], ratio)
+        return tensors
 
     def outflow_of(self, velocity, values=None):
         """m_i div (values u), central on each edge; values (n,) are 1 if not given. Collective."""
         s, ends, out = self.part.space, self.open, np.zeros(len(velocity))
-        advection.add_outflow(self.part.size, s.edges, s.forward, s.backward, velocity, values, out)
+        graph = s.edges, s.forward, s.backward
+        advection.add_outflow(self.part.size, *graph, velocity, values, self.openness, out)
         self.part.sum_nodes(out)
         for nodes, area in ((ends.nodes, ends.area), (self.fixed, self.fixed_area)):
-            through = np.sum(velocity[nodes] * area, axis=1)
+            through = np.sum(velocity[nodes] * area, axis=1) * self.open_share(nodes)
             out[nodes] += through if values is None else through * values[nodes]
         return out
+
+    def open_share(self, nodes):
+        """Share of the boundary at some nodes through which gas passes."""
+        return 1.0
+
+    def flatten(self, gradient):
+        """Where states are not reconstructed, the gradient (n, d + 2, d) is made zero."""
 
     def inflow_state(self, U, pressure):
         """(f, d + 2) conserved variables at inflows; the pressure of subsonic ones is that inside."""

@@ -14,7 +14,7 @@ from . import boundaries
 from .parallel import Borders, bisect
 
 FORMAT, VERSION = "fempm checkpoint", 1
-COUNTERS = ("dropped_vertices", "lost_momentum", "wall_hits")  # of each rank
+COUNTERS = ("dropped_vertices", "lost_momentum", "wall_hits", "escaped_mass")  # of each rank
 
 
 class CheckpointError(ValueError):
@@ -240,6 +240,7 @@ def take_up(simulation, scalars, owner, counts, arrays):
     for name, array in arrays.items():
         p.arrays[name][:] = array
     vars(s).update(scalars)
+    s.num_particles = s.ranks.sum(len(p))
     s.stamp[:] = -1  # marks of other steps than the one taken up
     s.sort_particles()
     s.find_contacts()

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from . import boundaries
 from .kernel import negative_weights
 
 
@@ -67,6 +68,19 @@ def summary(simulation):
     return out
 
 
+def vertex_fields(simulation):
+    """Mass (nv,) and velocity (nv, d) on the mesh's vertices, zero without particles."""
+    s, nv, d = simulation, len(simulation.mesh.points), simulation.mesh.dim
+    s.particle_to_grid()
+    boundaries.fold(s, boundaries.wall_motion(s, 0.0)[0][0])
+    fields = np.where((s.stamp[:nv] == s.steps)[:, None], s.grids[0, :nv, : 1 + d], 0.0)
+    fields = s.ranks.sum(fields)
+    mass, momentum = fields[:, 0], fields[:, 1:]
+    seen = mass > s.smallest_mass
+    velocity = np.where(seen[:, None], momentum / np.where(seen, mass, 1)[:, None], 0)
+    return {"mass": mass, "velocity": velocity}
+
+
 def active_parts(simulation):
     """Which parts of the method this scene uses: name -> whether it costs anything."""
     s = simulation
@@ -81,6 +95,7 @@ def active_parts(simulation):
         "F-bar": bool(s.f_bar),
         "condition on vertices": s.condition is not None,
         "gravity": bool(np.any(s.gravity)),
+        "outlets": s.outlet is not None,
         "threads": s.threads > 1,
         "several ranks": s.ranks.size > 1,
     }

@@ -171,9 +171,10 @@ def particle_fields(simulation):
             array = simulation.gather(source)
             if simulation.ranks.rank == 0:
                 fields[name] = array
+        identity = simulation.gather("id")
         if fields:
             fields["density"] = fields.pop("mass") / (fields.pop("volume") * fields.pop("jacobian"))
-            fields["id"] = np.arange(len(fields["density"]))
+            fields["id"] = identity
     return fields
 
 

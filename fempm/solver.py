@@ -8,6 +8,7 @@ from . import boundaries, checkpoint, consistency, diagnostics, grid, locate, ti
 from .contact import Contact, Obstacle
 from .f_bar import average_jacobian
 from .kernel import build_kernel, check_cells
+from .outlets import outlet_facets, remove_escaped
 from .parallel import Borders, Ranks, bisect, migrate
 from .particles import Body, join_bodies
 from .walls import Wall, wall_layer
@@ -45,6 +46,7 @@ class Simulation:
     threads : threads of the transfers; one by default
     imbalance : cells are dealt out again when a rank has more than this many times its fair share of
         particles; without effect on one rank
+    outlets : names of open boundaries through which particles leave the simulation
 
     Attributes
     ----------
@@ -71,6 +73,7 @@ class Simulation:
         cfl=0.3,
         threads=1,
         imbalance=1.2,
+        outlets=(),
     ):
         check_options(transfer, gradient, flip, threads=threads, cfl=cfl, imbalance=imbalance)
         for given, kind in ((bodies, Body), (walls, Wall), (obstacles, Obstacle)):
@@ -100,8 +103,9 @@ class Simulation:
         self.cell_size = time_step.cell_sizes(mesh)
         self.bins = locate.cell_bins(mesh)
         self.wall_facet = locate.wall_facets(mesh, self.layer)
+        self.outlet = outlet_facets(mesh, outlets) if len(outlets) else None
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
-        self.time, self.steps, self.dt = 0.0, 0, 0.0
+        self.time, self.steps, self.dt, self.escaped_mass = 0.0, 0, 0.0, 0.0
         self.dropped_vertices, self.lost_momentum, self.wall_hits, self.held_back = 0, 0.0, 0, 0
         self._allocate()
         self.num_particles = len(self.particles)
@@ -157,7 +161,12 @@ class Simulation:
             for particles that left the mesh
         """
         self.particle_to_grid()
+        self.fold(dt)
         self.update_grid(dt)
+        self.move(dt)
+
+    def move(self, dt):
+        """The part of a step that follows on the velocities at the vertices: particles move."""
         self.grid_to_particle(dt)
         self.contact.slide(self.particles, dt)
         self.time += dt
@@ -222,12 +231,15 @@ class Simulation:
             raise ValueError(f"body_force of shape {b.shape}: give ({shape[1]},) or {shape}")
         return np.broadcast_to(b, shape)
 
-    def update_grid(self, dt):
-        """Fold mirrors, update velocities, apply walls, fill mirrors."""
-        unknowns = len(self.mesh.points) + self.layer.num_free
-        drift, change = boundaries.wall_motion(self, dt)
-        boundaries.fold(self, drift[0])
+    def fold(self, dt):
+        """Add what mirrors and other ranks hold to the sums at the vertices. Collective."""
+        boundaries.fold(self, boundaries.wall_motion(self, dt)[0][0])
         self.borders.add_shared(self.grids[0], self.stamp, self.steps)
+
+    def update_grid(self, dt):
+        """Update velocities, apply walls, fill mirrors."""
+        unknowns = len(self.mesh.points) + self.layer.num_free
+        drift, change = self.motion
         dropped, lost = grid.update_velocity(
             self.grids[0],
             self.vertices,
@@ -325,6 +337,8 @@ class Simulation:
         self.on_threads(share)
         hits, lost = counts.sum(axis=0)
         self.wall_hits += hits
+        if self.outlet is not None:
+            lost = remove_escaped(self)
         if not lost:
             return None
         i = np.flatnonzero(self.status[: len(p)] == locate.LOST)
@@ -340,35 +354,22 @@ class Simulation:
         return time_step.stable_step(self)
 
     def vertex_fields(self):
-        """Mass (nv,) and velocity (nv, d) on the mesh's vertices now, zero without particles. Collective.
-
-        They are complete on the first rank only.
-        """
-        nv, d = len(self.mesh.points), self.mesh.dim
-        self.particle_to_grid()
-        boundaries.fold(self, boundaries.wall_motion(self, 0.0)[0][0])
-        fields = np.where((self.stamp[:nv] == self.steps)[:, None], self.grids[0, :nv, : 1 + d], 0.0)
-        fields = self.ranks.sum(fields)
-        mass, momentum = fields[:, 0], fields[:, 1:]
-        seen = mass > self.smallest_mass
-        velocity = np.where(seen[:, None], momentum / np.where(seen, mass, 1)[:, None], 0)
-        return {"mass": mass, "velocity": velocity}
+        """Mass (nv,) and velocity (nv, d) on the mesh's vertices now, see `diagnostics.vertex_fields`."""
+        return diagnostics.vertex_fields(self)
 
     def gather(self, name):
         """One array of all ranks' particles in the order of `id`, for instance "position". Collective."""
         p = self.particles
         field = p.arrays[name] if name in p.arrays else np.asarray(getattr(p, name))
         number, field = self.ranks.concatenate(p.id), self.ranks.concatenate(field)
-        out = np.empty_like(field)
-        out[number] = field
-        return out
+        return field[np.argsort(number)]
 
     def summary(self):
         """Energies and momenta now, the columns of a run's log. Collective."""
         return diagnostics.summary(self)
 
     def save(self, path):
-        """Write a checkpoint, see `checkpoint.save_checkpoint`. Collective."""
+        """Write a checkpoint, see `checkpoint.save_checkpoint`."""
         checkpoint.save_checkpoint(self, path)
 
     def load(self, path):

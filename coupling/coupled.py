@@ -1,0 +1,287 @@
+"""Gas and deformable solids on one mesh, coupled both ways (thesis 3.2.2)."""
+
+import numpy as np
+
+from fempm import boundaries as moving
+from fempm import diagnostics
+from fempm.parallel import RemoteError
+from fempm.solver import SimulationError
+
+from . import fractions, merging
+from .boundaries import Periodic
+from .flow import Flow
+from .mixture import Mixture
+from .pressure import add_means
+
+GHOST = "ghost_volume_ratio"  # J_g of the particles
+STIFF = 20.0  # least lambda_g over the largest pressure of the gas
+
+
+class Coupled(Flow):
+    """A gas and the bodies of an MPM simulation, ready for `fempm.run`.
+
+    A step: particles to grid, volume fractions, advection of the gas, the pressure of both phases, then the
+    forces and walls of the solid, and grid to particles. Gas is stored in the open share of each dual cell.
+
+    Parameters
+    ----------
+    solid : fempm.Simulation, whose mesh this is; from now on this object steps it
+    eos, initial, boundaries, pair, scheme, limiter, cfl, gravity : see `Flow`; the initial state is asked for inside
+        of the solid as well, its pressure there is that of the ghost matrix
+    openness : share of a dual face that is open to the gas, see `fractions.edge_openness`
+    ghost_modulus : lambda_g of the ghost matrix that gives the solid a pressure; when not given that of each
+        body's pressure waves, rho c^2, or twenty times the gas's largest pressure if that is more
+
+    Attributes
+    ----------
+    U : (n, d + 2) density, momentum, energy of the gas per open volume
+    theta : (n,) open share of each dual cell of the whole space
+    unclaimed : energy that the pressure gave to vertices without gas, lost to round-off and implicit damping
+    """
+
+    stages_kind = Mixture
+
+    def __init__(self, solid, eos, initial, boundaries, openness="least", ghost_modulus=None, **options):
+        if openness not in fractions.OPENNESS:
+            raise ValueError(f"openness {openness!r}: give one of {', '.join(map(repr, fractions.OPENNESS))}")
+        if any(isinstance(c, Periodic) for c in boundaries):
+            raise ValueError("boundaries: a gas with solids cannot be periodic, their particles would not follow")
+        options.setdefault("gravity", solid.gravity if np.any(solid.gravity) else None)
+        if not np.array_equal(0 * solid.gravity if options["gravity"] is None else options["gravity"], solid.gravity):
+            raise ValueError(f"gravity {options['gravity']} of the gas, {solid.gravity} of the solid: give one")
+        super().__init__(solid.mesh, eos, initial, boundaries, **options)
+        self.solid, self.openness, self.unclaimed, self.solid_rate = solid, openness, 0.0, 0.0
+        whole = self.part.whole
+        n = len(whole.points)
+        self.adjacency = merging.adjacency(whole.edges, n)
+        self.root, self.touched = np.arange(n, dtype=np.int32), np.empty(0, np.int64)
+        self.vertices = np.flatnonzero(self.part.nodes < len(self.mesh.points))  # local nodes at vertices
+        self.constrain_solid()
+        _, pressure = self.stages.primitive(self.U)
+        self.moduli = ghost_moduli(solid, ghost_modulus, self.ranks.max(pressure.max()))
+        self.start_ghost(self.part.gather(pressure)[whole.node_of_vertex])
+        self.theta = self.shares()[0]
+        self.settle(self.theta, np.ones(n, bool))
+
+    def constrain_solid(self):
+        """Tell the pressure of the walls of the solid."""
+        layer, nodes = self.solid.layer, self.part.nodes
+        mine = np.isin(layer.vertices, nodes[self.vertices])
+        self.stages.constrain_solid(np.searchsorted(nodes, layer.vertices[mine]), layer.project[mine])
+
+    def start_ghost(self, pressure):
+        """J_g = 1 - p / lambda_g: bodies at rest in gas at rest are in equilibrium."""
+        p, mesh = self.solid.particles, self.mesh
+        p.add_state(GHOST, ())
+        around = np.sum(barycentric(mesh, p) * pressure[mesh.cells[p.cell]], axis=1)
+        p.state[GHOST][:] = 1 - around / self.modulus_of_particles()
+
+    def modulus_of_particles(self):
+        """(np,) lambda_g."""
+        return np.repeat(self.moduli, self.solid.particles.counts)
+
+    def shares(self):
+        """Open share, alpha / (lambda_g J_g) and that times p_g (n,) of all nodes of the space. Collective."""
+        p, mesh, whole = self.solid.particles, self.mesh, self.part.whole
+        modulus, ratio = self.modulus_of_particles(), p.state[GHOST]
+        volume = p.volume * p.jacobian
+        compliance = volume / (modulus * np.maximum(ratio, 0.1))
+        values = np.stack([volume, compliance, compliance * modulus * (1 - ratio)], axis=1)
+        sums = np.zeros((len(whole.points), 3))
+        lists = mesh.cells, mesh.points, mesh.inverse, mesh.neighbours, whole.cell_nodes
+        sizes = self.part.size, (1,) * whole.cell_nodes.shape[1]
+        fractions.add_volumes(*sizes, p.position, p.cell, values, *lists, sums)
+        alpha, compliance, ghost = (self.ranks.sum(sums) / whole.volumes[:, None]).T
+        theta = fractions.open_share(alpha)
+        return theta, compliance, ghost
+
+    def settle(self, theta, held):
+        """Close and open nodes, and find where small ones share their state: changes theta. Collective."""
+        self.root[self.touched] = self.touched
+        self.touched = np.flatnonzero((theta < 1) | ~held)
+        merging.settle(self.touched, held, theta, *self.adjacency, self.root)
+
+    def regrid(self, U, old, new):
+        """U (n, d + 2) of this rank in the open volumes `new`, after they were `old` (all nodes). Collective."""
+        part, volumes = self.part, self.part.whole.volumes
+        out = U.copy()
+        changed = np.flatnonzero((old[part.nodes] != new[part.nodes]) & (new[part.nodes] > 0))
+        out[changed] *= (old / np.where(new > 0, new, 1))[part.nodes[changed], None]
+        small = self.touched[(self.root[self.touched] != self.touched) & (self.root[self.touched] >= 0)]
+        if len(small):
+            members = np.union1d(small, self.root[small])
+            at = np.searchsorted(part.nodes, members)
+            at[at == len(part.nodes)] = 0
+            here = part.nodes[at] == members
+            totals = np.zeros((len(members), U.shape[1]))
+            mine = here & part.mine[at]
+            totals[mine] = U[at[mine]] * (old * volumes)[members[mine], None]
+            open_volume = (new * volumes)[members]
+            totals = merging.share_states(self.root[members], open_volume, self.ranks.sum(totals))
+            kept = here & (open_volume > 0)
+            out[at[kept]] = totals[kept] / open_volume[kept, None]
+        return out
+
+    def one_step(self, U, dt, scheme=None, limiter=None):
+        """The gas after a step, and the solid moved on: in the order of thesis 3.2.2. Collective."""
+        solid, stages = self.solid, self.stages
+        solid.particle_to_grid()
+        mass, velocity = self.solid_at_vertices(dt)
+        theta, compliance, ghost = self.shares()
+        self.settle(theta, self.theta > 0)
+        U = self.regrid(U, self.theta, theta)
+        self.begin(U, theta, mass, velocity, *self.ghost_pressure(compliance, ghost))
+        U = super().one_step(U, dt, scheme, limiter)
+        self.push_solid(mass, dt)
+        solid.update_grid(dt)
+        self.squeeze(stages.P + stages.kicked(self.solid_velocity()))
+        try:
+            solid.move(dt)
+        except RemoteError as error:  # no shorter step of the gas mends it
+            raise SimulationError(str(error)) from None
+        self.theta, self.unclaimed = theta, self.unclaimed + self.ranks.sum(stages.lost)
+        return U
+
+    def solid_at_vertices(self, dt):
+        """Mass (nv,) and velocity (nv, d) of the solid at the vertices of the mesh, on all ranks. Collective."""
+        s, nv, d = self.solid, len(self.mesh.points), self.mesh.dim
+        moving.fold(s, moving.wall_motion(s, dt)[0][0])
+        sums = np.where((s.stamp[:nv] == s.steps)[:, None], s.grids[0, :nv, : 1 + d], 0.0)
+        sums = self.ranks.sum(sums)
+        s.borders.add_shared(s.grids[0], s.stamp, s.steps)
+        mass = np.where(sums[:, 0] > s.smallest_mass, sums[:, 0], 0.0)
+        return mass, sums[:, 1:] / np.where(mass > 0, mass, np.inf)[:, None]
+
+    def begin(self, U, theta, mass, velocity, compliance, ghost):
+        """Give the stages the solid, and closed nodes (U is changed) the state of their neighbours. Collective."""
+        part, s = self.part, self.part.space
+        theta, local = theta[part.nodes], part.nodes[self.vertices]
+        closed = theta == 0
+        i, j = s.edges[closed[s.edges[:, 0]] != closed[s.edges[:, 1]]].T
+        i, j = np.where(closed[i], i, j), np.where(closed[i], j, i)
+        sums = np.zeros((len(theta), 1 + U.shape[1]))
+        np.add.at(sums, i, np.concatenate([np.ones((len(i), 1)), U[j]], axis=1))
+        sums[j, 0] = 1
+        part.sum_nodes(sums)
+        beside = sums[:, 0] > 0
+        U[closed & beside] = sums[closed & beside, 1:] / sums[closed & beside, :1]
+        inverse, start = np.zeros(len(theta)), np.zeros((len(theta), self.mesh.dim))
+        inverse[self.vertices] = 1 / np.where(mass > 0, mass, np.inf)[local]
+        start[self.vertices] = velocity[local]
+        openness = fractions.edge_openness(self.openness, theta, s)
+        flat = np.flatnonzero(beside & ~closed)
+        self.stages.begin(theta, openness, flat, start, inverse, compliance, ghost)
+
+    def ghost_pressure(self, compliance, ghost):
+        """int alpha / (lambda_g J_g), and the pressure of the ghost matrix (nq,), from their nodal values. Collective.
+
+        The pressure is the mean over the particles by the same weights with which `squeeze` hands its change
+        back to them, so that it takes up that change; the mean over the nodes is for cells without any.
+        """
+        part, s = self.part, self.part.space
+        sums = np.zeros((len(part.dofs), 3))
+        lists = s.cell_nodes, s.cell_pressures, s.weights, s.cell_volumes
+        nodal = (np.ones(len(part.nodes)), compliance[part.nodes], ghost[part.nodes])
+        add_means(part.shape, *lists, *nodal, sums)
+        _, compliance, ghost = part.sum_dofs(sums).T
+        dofs, weight, pressure = self.particle_pressures()
+        own = np.zeros((len(part.whole.pressure_volumes), 2))
+        for k, value in enumerate((weight, weight * pressure)):
+            own[:, k] = np.bincount(dofs.ravel(), value.ravel(), len(own))
+        own = self.ranks.sum(own)[part.dofs]
+        ghost = np.where(own[:, 0] > 0, own[:, 1], ghost)
+        return compliance.copy(), ghost / np.maximum(np.where(own[:, 0] > 0, own[:, 0], compliance), 1e-300)
+
+    def particle_pressures(self):
+        """Dofs (np, k) of the cells of the particles, the particles' weights there, and p_g (np, 1)."""
+        p, whole = self.solid.particles, self.part.whole
+        modulus, ratio = self.modulus_of_particles(), p.state[GHOST]
+        dofs = whole.cell_pressures[p.cell]
+        share = barycentric(self.mesh, p) if dofs.shape[1] > 1 else np.ones((len(p), 1))
+        return dofs, share * (p.volume * p.jacobian / modulus)[:, None], (modulus * (1 - ratio))[:, None]
+
+    def push_solid(self, mass, dt):
+        """Add the force of the pressure to that of the stress at the vertices. Collective."""
+        s, stages, nv = self.solid, self.stages, len(self.mesh.points)
+        change = (stages.now - stages.start) / dt
+        speed, size = np.linalg.norm(stages.now, axis=1), np.linalg.norm(change, axis=1)
+        self.solid_rate = np.max(0.5 * (speed + np.sqrt(speed**2 + 4 * size * self.width)) / self.width)
+        force = mass[:, None] * self.part.gather(change)[:nv]
+        at = s.vertices[: s.num_vertices]
+        at = at[at < nv]
+        s.grids[0, at, 1 + self.mesh.dim :] += force[at]
+
+    def solid_velocity(self):
+        """(n, d) velocity of the solid now, at this rank's nodes at vertices. Collective."""
+        s, nv = self.solid, len(self.mesh.points)
+        velocity = np.where((s.stamp[:nv] == s.steps)[:, None], s.velocity[:nv], 0.0)
+        if self.ranks.size > 1:  # ranks that share a vertex all have its velocity
+            velocity = self.ranks.sum(velocity)
+            velocity /= np.maximum(self.ranks.sum((s.stamp[:nv] == s.steps).astype(float)), 1)[:, None]
+        out = np.zeros((len(self.part.nodes), self.mesh.dim))
+        out[self.vertices] = velocity[self.part.nodes[self.vertices]]
+        return out
+
+    def squeeze(self, pressure):
+        """J_g of the particles after the pressure (nq,) of their cells has changed. Collective."""
+        stages, whole, p = self.stages, self.part.whole, self.solid.particles
+        change = self.part.gather_dofs(np.where(stages.compliance > 0, stages.ghost - pressure, 0.0))
+        change = change[whole.cell_pressures[p.cell]]
+        if change.shape[1] > 1:
+            change = change * barycentric(self.mesh, p)
+        p.state[GHOST] += change.sum(axis=1) / self.modulus_of_particles()
+
+    def stable_step(self):
+        """The shorter one of the gas's and the solid's, also for what the gas has pushed. Collective."""
+        limit = self.cfl / max(self.ranks.max(self.solid_rate), 1e-300)
+        return min(super().stable_step(), self.solid.stable_step(), limit)
+
+    def gather(self, name):
+        """One array of all ranks' particles in the order of `id`. Collective."""
+        return self.solid.gather(name)
+
+    @property
+    def particles(self):
+        """The particles of the solid, of this rank."""
+        return self.solid.particles
+
+    def vertex_fields(self):
+        """Those of the gas at the mesh's vertices, and "solid", the share that is filled. Collective."""
+        fields = super().vertex_fields()
+        fields["solid"] = 1 - self.theta[self.part.whole.node_of_vertex]
+        for name in ("mach", "schlieren"):
+            fields[name] = np.where(fields["solid"] < 1, fields[name], 0.0)
+        return fields
+
+    def summary(self):
+        """Totals and energies of gas and solid, the columns of a run's log. Collective."""
+        p, names = self.solid.particles, "xyz"[: self.mesh.dim]
+        gas = super().summary()
+        total = self.part.total(self.theta[self.part.nodes, None] * self.U)
+        ratio = p.state[GHOST]
+        stored = 0.5 * self.modulus_of_particles() * (ratio - 1) ** 2 * p.volume * p.jacobian
+        parts = {"gas": total[-1], **diagnostics.energies(self.solid), "ghost": self.ranks.sum(stored.sum())}
+        momentum = diagnostics.linear_momentum(self.solid)
+        out = {"time": self.time, "dt": self.dt, "mass": total[0], "energy": sum(parts.values())}
+        out |= {f"momentum_{a}": g + s for a, g, s in zip(names, total[1:-1], momentum)}
+        out |= {f"solid_momentum_{a}": s for a, s in zip(names, momentum)}
+        out |= parts | {"unclaimed": self.unclaimed}
+        return out | {name: value for name, value in gas.items() if name not in out}
+
+
+def barycentric(mesh, particles):
+    """(np, d + 1) barycentric coordinates of particles in their cells."""
+    p = particles
+    first = np.einsum("pij,pj->pi", mesh.inverse[p.cell], p.position - mesh.points[mesh.cells[p.cell, 0]])
+    return np.concatenate([1 - first.sum(axis=1, keepdims=True), first], axis=1)
+
+
+def ghost_moduli(solid, given, pressure):
+    """(bodies,) lambda_g: as given, or stiff enough for the bodies and for the pressure of the gas."""
+    stiff = [b.material.density * b.material.wave_speed() ** 2 for b in solid.bodies]
+    moduli = np.maximum(stiff, STIFF * pressure) if given is None else np.full(len(stiff), float(given))
+    if not moduli.min() > pressure:
+        raise ValueError(
+            f"ghost_modulus {given}: it must exceed the pressure of the gas, {pressure:.6g}, many times"
+        )
+    return moduli
