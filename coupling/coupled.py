@@ -45,10 +45,16 @@ class Coupled(Flow):
         if openness not in fractions.OPENNESS:
             raise ValueError(f"openness {openness!r}: give one of {', '.join(map(repr, fractions.OPENNESS))}")
         if any(isinstance(c, Periodic) for c in boundaries):
-            raise ValueError("boundaries: a gas with solids cannot be periodic, their particles would not follow")
+            raise ValueError(
+                "boundaries: a gas with solids cannot be periodic, their particles would not follow"
+            )
         options.setdefault("gravity", solid.gravity if np.any(solid.gravity) else None)
-        if not np.array_equal(0 * solid.gravity if options["gravity"] is None else options["gravity"], solid.gravity):
-            raise ValueError(f"gravity {options['gravity']} of the gas, {solid.gravity} of the solid: give one")
+        if not np.array_equal(
+            0 * solid.gravity if options["gravity"] is None else options["gravity"], solid.gravity
+        ):
+            raise ValueError(
+                f"gravity {options['gravity']} of the gas, {solid.gravity} of the solid: give one"
+            )
         super().__init__(solid.mesh, eos, initial, boundaries, **options)
         self.solid, self.openness, self.unclaimed, self.solid_rate = solid, openness, 0.0, 0.0
         whole = self.part.whole

@@ -8,7 +8,10 @@ neither more nor less than its volume, and an interface is spread over no more t
 import numpy as np
 from numba import njit
 
-CLOSED, WHOLE = 0.15, 0.4  # open shares below which a vertex is closed, and from which on they are as computed
+CLOSED, WHOLE = (
+    0.15,
+    0.4,
+)  # open shares below which a vertex is closed, and from which on they are as computed
 OPENNESS = ("least", "ball", "reflective")
 
 options = {"cache": True, "nogil": True, "error_model": "numpy"}

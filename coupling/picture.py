@@ -56,7 +56,7 @@ def spread(frames, count):
     return [frames[k] for k in sorted({-(-last * i // count) for i in range(1, count + 1)})]
 
 
-def schlieren_strip(path, mesh, frames, contrast=15.0, plane=None, box=None):
+def schlieren_strip(path, mesh, frames, contrast=15.0, plane=None, box=None, particles=None):
     """Write a PNG picture of several moments as a schlieren photograph, exp(-contrast |grad rho| / max).
 
     Parameters
@@ -73,6 +73,8 @@ def schlieren_strip(path, mesh, frames, contrast=15.0, plane=None, box=None):
         Axis and coordinate of a plane: in 3D, the slice that is drawn.
     box : (left, right, bottom, top), optional
         Part of the domain that is drawn.
+    particles : list of (n, d) arrays, optional
+        Positions at each moment, drawn over it; in 3D those in front of or behind the plane as well.
 
     Raises
     ------
@@ -80,15 +82,15 @@ def schlieren_strip(path, mesh, frames, contrast=15.0, plane=None, box=None):
         If matplotlib is missing.
     """
     grey = [(t, np.exp(-contrast * f["schlieren"] / max(f["schlieren"].max(), 1e-300))) for t, f in frames]
-    return _strip(path, mesh, grey, plane, box, "gray", (0, 1), None)
+    return _strip(path, mesh, grey, plane, box, "gray", (0, 1), None, particles)
 
 
-def colour_strip(path, mesh, frames, field, label="", limits=None, plane=None, box=None):
+def colour_strip(path, mesh, frames, field, label="", limits=None, plane=None, box=None, particles=None):
     """Write a PNG picture of a scalar field at several moments, with common limits and colour bar.
 
     Parameters
     ----------
-    path, mesh, frames, plane, box
+    path, mesh, frames, plane, box, particles
         As in `schlieren_strip`.
     field : str
         Name of the field.
@@ -105,10 +107,10 @@ def colour_strip(path, mesh, frames, field, label="", limits=None, plane=None, b
     shown = [(t, f[field]) for t, f in frames]
     if limits is None:
         limits = min(v.min() for _, v in shown), max(v.max() for _, v in shown)
-    return _strip(path, mesh, shown, plane, box, "viridis", limits, label)
+    return _strip(path, mesh, shown, plane, box, "viridis", limits, label, particles)
 
 
-def _strip(path, mesh, frames, plane, box, cmap, limits, label):
+def _strip(path, mesh, frames, plane, box, cmap, limits, label, particles):
     """Panels of (time, vertex values), one above the other where the domain is wide."""
     if Ranks().rank > 0:
         return path
@@ -124,13 +126,17 @@ def _strip(path, mesh, frames, plane, box, cmap, limits, label):
     rows, columns = (len(frames), 1) if width > 1.5 * height else (1, len(frames))
     figure.set_size_inches(columns * scale * width + 1.2, rows * (scale * height + 0.35) + 0.4)
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
-    for ax, (t, values) in zip(panels, frames):
+    for k, (ax, (t, values)) in enumerate(zip(panels, frames)):
         if mesh.dim == 2:
             x, y = mesh.points.T
             image = ax.tripcolor(x, y, mesh.cells, values, shading="gouraud", cmap=cmap)
         else:
             image = _slice(ax, mesh, values, plane, axes, low, high, cmap)
         image.set_clim(*limits)
+        if particles is not None:
+            x = particles[k][:, axes]
+            size = np.clip(2e3 * scale / len(x) ** 0.5, 0.3, 3.0)
+            ax.scatter(*x.T, s=size, c=_PLAIN, linewidths=0)
         ax.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         ax.set(xlabel=f"{'xyz'[axes[0]]} in m", ylabel=f"{'xyz'[axes[1]]} in m")
         ax.set_title(f"t = {t:.4g} s", fontsize=10)

@@ -159,7 +159,11 @@ class Stages:
         carried = bulk - self.eos.heating(W[:, 0], p) * p
         old = None if advected is None else advected[:, 1:-1] / advected[:, :1]
         expansion = np.zeros(len(U)) if old is None else self.outflow_of(old)
-        velocity, inverse, around = np.empty((len(U), self.part.space.dim)), np.empty(len(U)), np.empty(len(U))
+        velocity, inverse, around = (
+            np.empty((len(U), self.part.space.dim)),
+            np.empty(len(U)),
+            np.empty(len(U)),
+        )
         fixed = dt, self.part.space.volumes, self.gravity
         self.cut += pressure.before_solve(
             self.part.size, U, p, carried, expansion, SHOCK, *fixed, velocity, inverse, around

@@ -8,6 +8,7 @@ A scene is a mesh, bodies of particles with materials, walls, and a run:
     run(simulation, until=1.0, output="results/ball")
 """
 
+from .boxes import box_mesh
 from .checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from .contact import Obstacle
 from .interrupt import Interrupted
@@ -45,6 +46,7 @@ __all__ = [
     "VonMises",
     "Wall",
     "WeaklyCompressibleFluid",
+    "box_mesh",
     "fill_box",
     "fill_cells",
     "from_dolfinx",

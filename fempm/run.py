@@ -26,11 +26,13 @@ class Record:
     frames : sequence of (time, positions, velocities) at the output times, particles in the order of
         their `id`, or without particles of (time, fields on the vertices); read from the file when asked for,
         in memory where there is none
+    vertex_frames : with particles and an output, the same of (time, fields on the vertices)
     files : paths written
     """
 
     log: dict = field(default_factory=dict)
     frames: Sequence = field(default_factory=list)
+    vertex_frames: Sequence = field(default_factory=list)
     files: list = field(default_factory=list)
 
 
@@ -220,6 +222,9 @@ class Output:
         times, record.log = simulation.ranks.broadcast(lambda: self.open(resume))
         first = record.files[0].with_suffix(".h5")
         record.frames = Frames(first, simulation.mesh.dim, times, self.with_particles)
+        if self.with_particles:
+            fields = record.files[1].with_suffix(".h5")
+            record.vertex_frames = Frames(fields, simulation.mesh.dim, times, False)
 
     def __enter__(self):
         return self
