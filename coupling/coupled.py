@@ -3,7 +3,7 @@
 import numpy as np
 
 from fempm import boundaries as moving
-from fempm import diagnostics
+from fempm import checkpoint, diagnostics
 from fempm.parallel import RemoteError
 from fempm.solver import SimulationError
 
@@ -26,8 +26,8 @@ class Coupled(Flow):
     Parameters
     ----------
     solid : fempm.Simulation, whose mesh this is; from now on this object steps it
-    eos, initial, boundaries, pair, scheme, limiter, cfl, gravity : see `Flow`; the initial state is asked for inside
-        of the solid as well, its pressure there is that of the ghost matrix
+    eos, initial, boundaries, pair, scheme, limiter, cfl, gravity : see `Flow`; the initial state is asked for
+        inside of the solid as well, its pressure there is that of the ghost matrix
     openness : share of a dual face that is open to the gas, see `fractions.edge_openness`
     ghost_modulus : lambda_g of the ghost matrix that gives the solid a pressure; when not given that of each
         body's pressure waves, rho c^2, or twenty times the gas's largest pressure if that is more
@@ -87,7 +87,7 @@ class Coupled(Flow):
         return np.repeat(self.moduli, self.solid.particles.counts)
 
     def shares(self):
-        """Open share, alpha / (lambda_g J_g) and that times p_g (n,) of all nodes of the space. Collective."""
+        """(n,) open share of all nodes, alpha / (lambda_g J_g) there, and that times p_g. Collective."""
         p, mesh, whole = self.solid.particles, self.mesh, self.part.whole
         modulus, ratio = self.modulus_of_particles(), p.state[GHOST]
         volume = p.volume * p.jacobian
@@ -108,7 +108,7 @@ class Coupled(Flow):
         merging.settle(self.touched, held, theta, *self.adjacency, self.root)
 
     def regrid(self, U, old, new):
-        """U (n, d + 2) of this rank in the open volumes `new`, after they were `old` (all nodes). Collective."""
+        """U (n, d + 2) of this rank for open shares `new` of all nodes that were `old`. Collective."""
         part, volumes = self.part, self.part.whole.volumes
         out = U.copy()
         changed = np.flatnonzero((old[part.nodes] != new[part.nodes]) & (new[part.nodes] > 0))
@@ -149,7 +149,7 @@ class Coupled(Flow):
         return U
 
     def solid_at_vertices(self, dt):
-        """Mass (nv,) and velocity (nv, d) of the solid at the vertices of the mesh, on all ranks. Collective."""
+        """Mass (nv,) and velocity (nv, d) of the solid at the vertices, on all ranks. Collective."""
         s, nv, d = self.solid, len(self.mesh.points), self.mesh.dim
         moving.fold(s, moving.wall_motion(s, dt)[0][0])
         sums = np.where((s.stamp[:nv] == s.steps)[:, None], s.grids[0, :nv, : 1 + d], 0.0)
@@ -159,7 +159,7 @@ class Coupled(Flow):
         return mass, sums[:, 1:] / np.where(mass > 0, mass, np.inf)[:, None]
 
     def begin(self, U, theta, mass, velocity, compliance, ghost):
-        """Give the stages the solid, and closed nodes (U is changed) the state of their neighbours. Collective."""
+        """Give the stages the solid, and closed nodes of U the state of their neighbours. Collective."""
         part, s = self.part, self.part.space
         theta, local = theta[part.nodes], part.nodes[self.vertices]
         closed = theta == 0
@@ -179,7 +179,7 @@ class Coupled(Flow):
         self.stages.begin(theta, openness, flat, start, inverse, compliance, ghost)
 
     def ghost_pressure(self, compliance, ghost):
-        """int alpha / (lambda_g J_g), and the pressure of the ghost matrix (nq,), from their nodal values. Collective.
+        """int alpha / (lambda_g J_g), and the pressure of the ghost matrix (nq,), from nodes. Collective.
 
         The pressure is the mean over the particles by the same weights with which `squeeze` hands its change
         back to them, so that it takes up that change; the mean over the nodes is for cells without any.
@@ -273,6 +273,38 @@ class Coupled(Flow):
         out |= {f"solid_momentum_{a}": s for a, s in zip(names, momentum)}
         out |= parts | {"unclaimed": self.unclaimed}
         return out | {name: value for name, value in gas.items() if name not in out}
+
+    def store(self, store):
+        """Write what a checkpoint holds. Collective."""
+        super().store(store)
+        checkpoint.store_particles(self.solid, store)
+        s, first = self.solid, int(self.ranks.rank == 0)
+        store("theta", self.theta[: first * len(self.theta)])
+        store(
+            "solid",
+            np.array([[s.time, s.dt, s.steps, self.unclaimed, self.solid_rate]] * first).reshape(-1, 5),
+        )
+
+    def load(self, path):
+        """Take up a checkpoint of the same scene, see `Flow.load`. Collective."""
+        solid, found = checkpoint.read(self.ranks, path, self.fingerprint(), self.needed)
+        checkpoint.take_up(self.solid, **solid)
+        vars(self).update(found)
+        self.root[:] = np.arange(len(self.root))
+        self.touched = np.flatnonzero(self.theta < 1)
+
+    def needed(self, file):
+        """What this rank needs of a checkpoint: arguments of `checkpoint.take_up`, and attributes."""
+        solid = checkpoint.needed(self.solid, file)
+        *clock, unclaimed, rate = file["solid"][0].tolist()
+        solid["scalars"] |= {"time": clock[0], "dt": clock[1], "steps": int(clock[2])}
+        own = {"theta": file["theta"][()], "unclaimed": unclaimed, "solid_rate": rate}
+        return solid, self.stored(file) | own
+
+    def fingerprint(self):
+        """What a checkpoint and the scene that goes on from it must have in common."""
+        both = super().fingerprint() | checkpoint.fingerprint(self.solid)
+        return both | {"coupling": f"{self.openness}, ghost moduli {self.moduli.tolist()}"}
 
 
 def barycentric(mesh, particles):

@@ -187,11 +187,15 @@ class Flow:
 
     def save(self, path):
         """Write a checkpoint, an HDF5 file that is there as a whole or not at all. Collective."""
-        mine = self.part.mine
         with checkpoint.storing(self, path, self.fingerprint()) as store:
-            store("nodes", self.part.nodes[mine])
-            store("conserved", self.U[mine])
-            store("repeated", np.array([self.repeated] * (self.ranks.rank == 0)))
+            self.store(store)
+
+    def store(self, store):
+        """Write what a checkpoint holds of the gas with an open `checkpoint.storing`. Collective."""
+        mine = self.part.mine
+        store("nodes", self.part.nodes[mine])
+        store("conserved", self.U[mine])
+        store("repeated", np.array([self.repeated] * (self.ranks.rank == 0)))
 
     def load(self, path):
         """Take up a checkpoint of the same scene, on any number of ranks. Collective.

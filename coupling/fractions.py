@@ -1,8 +1,8 @@
 """How much of each dual cell the solid fills, from its particles (thesis 3.2.3, design note).
 
-A particle counts as a box of its present volume, which is divided into 2^d points; each gives its share to
-the nodes of the cell it lies in by their basis functions. As these sum to one and m_i = int phi_i, a solid fills
-neither more nor less than its volume, and an interface is spread over no more than two cells.
+A particle counts as a box of its present volume, divided into 2^d points; each gives its share to the
+nodes of the cell it lies in by their basis functions. As these sum to one and m_i = int phi_i, a solid
+fills neither more nor less than its volume, and an interface is spread over no more than two cells.
 """
 
 import numpy as np
@@ -32,7 +32,7 @@ def add_volumes(size, corners, position, cell, values, cells, points, inverse, n
             for a in range(d):
                 x[a] = position[p, a] + (quarter if (piece >> a) & 1 else -quarter)
             c = cell[p]
-            for walk in range(20):
+            for _ in range(20):
                 b[0] = 1.0
                 for i in range(d):
                     b[i + 1] = 0.0

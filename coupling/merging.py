@@ -1,7 +1,7 @@
 """Gas in vertices that a solid nearly fills, closes or opens: it shares the state of an open neighbour.
 
-Nothing is extrapolated and nothing is lost: nodes give their gas to the node at the end of a chain of ever more
-open neighbours, and all that end at the same one share its state by volume, as cut-cell codes do.
+Nothing is extrapolated and nothing is lost: nodes give their gas to the node at the end of a chain of ever
+more open neighbours, and all that end at the same one share its state by volume, as cut-cell codes do.
 """
 
 import numpy as np
@@ -61,7 +61,7 @@ def settle(nodes, held, theta, start, adjacent, root):
 
 @njit(cache=True)
 def most_open(i, best, held, theta, start, adjacent):
-    """The most open of node `best`, -1 for none, and the neighbours of i that were open before; first of equals."""
+    """The most open of node `best`, -1 for none, and i's neighbours that were open; the first of equals."""
     for k in range(start[i], start[i + 1]):
         j = adjacent[k]
         if not held[j] or theta[j] == 0.0:

@@ -1,14 +1,14 @@
 """Gas and solid in one implicit pressure: an effective density (thesis 3.2.4-3.2.7, design note).
 
-The open share theta of a dual cell moves with u_f, the share alpha that the solid fills with u_s, and both feel
-the one pressure of each cell:
+The open share theta of a dual cell moves with u_f, the share alpha that the solid fills with u_s, and both
+feel the one pressure of each cell:
 
     m_f u_f = m_f u_f* + dt theta A P,      m_s u_s = m_s u_s* + dt alpha A P,
     S (P - P*) + A^T (theta u_f + alpha u_s) = 0,
 
-S the compressibility of the gas, theta / (rho c^2), and of the solid's ghost matrix, alpha / (lambda_g J_g), over dt,
-and P* their mean pressure, weighted so. The matrix of the gas alone, with theta / rho_f + alpha / rho_s in the
-place of 1 / rho, does it.
+S the compressibility of the gas, theta / (rho c^2), and of the solid's ghost matrix, alpha / (lambda_g J_g),
+over dt, and P* their mean pressure, weighted so. The matrix of the gas alone, with theta / rho_f + alpha /
+rho_s in the place of 1 / rho, does it.
 """
 
 from itertools import combinations
@@ -25,10 +25,10 @@ EXTRAPOLATE = 1 + np.sqrt(2)  # (1 - gamma) / gamma of the two-stage scheme
 
 @njit(**options)
 def add_work(shape, nodes, dofs, coefficients, weights, P, expansion, theta, alpha, gas, solid, out):
-    """Add to `out` (n,) the energy that the pressure gives to the gas of each node; returns what no gas takes.
+    """Add to `out` (n,) the energy that the pressure gives to each node's gas; returns what no gas takes.
 
-    A node gets the work on its gas, and of the heat -P times the expansion of the gas in a cell a share. That
-    is what the flux of both phases leaves when the expansion of the ghost matrix, `expansion` (nc, np), is
+    A node gets the work on its gas, and of the heat -P times the expansion of the gas in a cell a share. The
+    expansion is what the flux of both phases leaves when that of the ghost matrix, `expansion` (nc, np), is
     taken off: so the gas loses what the solid and its ghost gain.
     """
     per_cell, corners, size = shape
@@ -185,10 +185,10 @@ class Mixture(Stages):
         return out
 
     def kicked(self, velocity):
-        """(nq,) what the forces inside of the solid, which have made its velocity that given, add to the pressure.
+        """(nq,) what the forces inside of the solid, which made its velocity that given, add to the pressure.
 
-        The ghost matrix has to follow the velocity with which the particles will move: with that before the
-        stress has acted, it would lag behind and feed the solid's waves. Collective.
+        The ghost matrix has to follow the velocity with which the particles will move: with that from before
+        the stress has acted, it would lag behind and feed the solid's waves. Collective.
         """
         change = self.moved[:, None] * (self.lift(velocity) - self.now)
         return -self.part.divergence(change, np.empty(len(self.P))) / self.stiffness
@@ -203,7 +203,7 @@ class Mixture(Stages):
         return (compliance * star + self.compliance * ghost) / stiffness, stiffness / dt
 
     def mobility(self, inverse, tensors):
-        """What divides a force by the mass of both phases: blocks and function of `PressureSystem.solve`."""
+        """What divides a force by the mass of both phases, see `PressureSystem.solve`."""
         size, special = self.part.size, self.special
         gas, solid = self.theta * inverse, self.moved**2 * self.lift(self.solid_inverse[:, None].copy())[:, 0]
         both = np.maximum(gas + solid, 1e-300)

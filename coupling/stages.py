@@ -24,7 +24,7 @@ class Before:
     """A stage before its pressure is known: (n,) arrays at the nodes, and velocities (n, d).
 
     `pressure`, its stiffness `bulk` = rho c^2, P* (`star`), internal energy per volume, the velocity that
-    inertia keeps, 1 / (m rho), and the velocity `old` of the advection, None where that keeps its compression.
+    inertia keeps, 1 / (m rho), and the velocity `old` of the advection, None where that keeps compression.
     """
 
     pressure: np.ndarray
@@ -189,7 +189,7 @@ class Stages:
         return out
 
     def free_directions(self, dt, inverse):
-        """(k, d, d) what walls and open ends leave of the velocity that a force makes at the special nodes."""
+        """(k, d, d) what walls and open ends leave of the velocity of a force at the special nodes."""
         tensors, ends = self.free.copy(), self.open
         if len(ends.nodes):
             ratio = dt * ends.impedance * inverse[ends.nodes]

@@ -34,14 +34,19 @@ def save_checkpoint(simulation, path):
     OSError
         on all ranks, if the first one cannot write
     """
-    p = simulation.particles
     with storing(simulation, path, fingerprint(simulation)) as store:
-        simulation.ranks.broadcast(lambda: append(store.part, "owner", simulation.owner))
-        store("counts", np.array([p.counts]))
-        for name in COUNTERS:
-            store(f"counters/{name}", np.array([getattr(simulation, name)]))
-        for name, array in p.arrays.items():
-            store(f"particles/{name}", array)
+        store_particles(simulation, store)
+
+
+def store_particles(simulation, store):
+    """Write the particles with an open `storing`. Collective."""
+    p = simulation.particles
+    simulation.ranks.broadcast(lambda: append(store.part, "owner", simulation.owner))
+    store("counts", np.array([p.counts]))
+    for name in COUNTERS:
+        store(f"counters/{name}", np.array([getattr(simulation, name)]))
+    for name, array in p.arrays.items():
+        store(f"particles/{name}", array)
 
 
 class storing:
