@@ -67,7 +67,7 @@ class Coupled(Flow):
         self.moduli = ghost_moduli(solid, ghost_modulus, self.ranks.max(pressure.max()))
         self.start_ghost(self.part.gather(pressure)[whole.node_of_vertex])
         self.theta = self.shares()[0]
-        self.settle(self.theta, np.ones(n, bool))
+        self.settle(self.theta, self.theta > 0)
 
     def constrain_solid(self):
         """Tell the pressure of the walls of the solid."""
