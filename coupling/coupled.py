@@ -90,7 +90,7 @@ class Coupled(Flow):
         """(n,) open share of all nodes, alpha / (lambda_g J_g) there, and that times p_g. Collective."""
         p, mesh, whole = self.solid.particles, self.mesh, self.part.whole
         modulus, ratio = self.modulus_of_particles(), p.state[GHOST]
-        volume = p.volume * p.jacobian
+        volume = self.volume = p.volume * p.jacobian
         compliance = volume / (modulus * np.maximum(ratio, 0.1))
         values = np.stack([volume, compliance, compliance * modulus * (1 - ratio)], axis=1)
         sums = np.zeros((len(whole.points), 3))
@@ -152,27 +152,36 @@ class Coupled(Flow):
         """Mass (nv,) and velocity (nv, d) of the solid at the vertices, on all ranks. Collective."""
         s, nv, d = self.solid, len(self.mesh.points), self.mesh.dim
         moving.fold(s, moving.wall_motion(s, dt)[0][0])
-        sums = np.where((s.stamp[:nv] == s.steps)[:, None], s.grids[0, :nv, : 1 + d], 0.0)
+        sums, at = np.zeros((nv, 1 + d)), self.solid_vertices()
+        sums[at] = s.grids[0, at, : 1 + d]
         sums = self.ranks.sum(sums)
         s.borders.add_shared(s.grids[0], s.stamp, s.steps)
-        mass = np.where(sums[:, 0] > s.smallest_mass, sums[:, 0], 0.0)
-        return mass, sums[:, 1:] / np.where(mass > 0, mass, np.inf)[:, None]
+        heavy = np.flatnonzero(sums[:, 0] > s.smallest_mass)
+        mass, velocity = np.zeros(nv), np.zeros((nv, d))
+        mass[heavy] = sums[heavy, 0]
+        velocity[heavy] = sums[heavy, 1:] / sums[heavy, :1]
+        return mass, velocity
+
+    def solid_vertices(self):
+        """Vertices of the mesh that this rank's particles reach."""
+        at = self.solid.vertices[: self.solid.num_vertices]
+        return at[at < len(self.mesh.points)]
 
     def begin(self, U, theta, mass, velocity, compliance, ghost):
         """Give the stages the solid, and closed nodes of U the state of their neighbours. Collective."""
         part, s = self.part, self.part.space
         theta, local = theta[part.nodes], part.nodes[self.vertices]
         closed = theta == 0
-        i, j = s.edges[closed[s.edges[:, 0]] != closed[s.edges[:, 1]]].T
-        i, j = np.where(closed[i], i, j), np.where(closed[i], j, i)
         sums = np.zeros((len(theta), 1 + U.shape[1]))
-        np.add.at(sums, i, np.concatenate([np.ones((len(i), 1)), U[j]], axis=1))
-        sums[j, 0] = 1
-        part.sum_nodes(sums)
+        if self.ranks.max(int(closed.any())):
+            merging.add_open_neighbours(s.edges, closed, U, sums)
+            part.sum_nodes(sums)
         beside = sums[:, 0] > 0
-        U[closed & beside] = sums[closed & beside, 1:] / sums[closed & beside, :1]
+        filled = np.flatnonzero(closed & beside)
+        U[filled] = sums[filled, 1:] / sums[filled, :1]
         inverse, start = np.zeros(len(theta)), np.zeros((len(theta), self.mesh.dim))
-        inverse[self.vertices] = 1 / np.where(mass > 0, mass, np.inf)[local]
+        heavy = np.flatnonzero(mass[local])
+        inverse[self.vertices[heavy]] = 1 / mass[local[heavy]]
         start[self.vertices] = velocity[local]
         openness = fractions.edge_openness(self.openness, theta, s)
         flat = np.flatnonzero(beside & ~closed)
@@ -204,26 +213,28 @@ class Coupled(Flow):
         modulus, ratio = self.modulus_of_particles(), p.state[GHOST]
         dofs = whole.cell_pressures[p.cell]
         share = barycentric(self.mesh, p) if dofs.shape[1] > 1 else np.ones((len(p), 1))
-        return dofs, share * (p.volume * p.jacobian / modulus)[:, None], (modulus * (1 - ratio))[:, None]
+        return dofs, share * (self.volume / modulus)[:, None], (modulus * (1 - ratio))[:, None]
 
     def push_solid(self, mass, dt):
         """Add the force of the pressure to that of the stress at the vertices. Collective."""
-        s, stages, nv = self.solid, self.stages, len(self.mesh.points)
+        s, stages = self.solid, self.stages
         change = (stages.now - stages.start) / dt
-        speed, size = np.linalg.norm(stages.now, axis=1), np.linalg.norm(change, axis=1)
-        self.solid_rate = np.max(0.5 * (speed + np.sqrt(speed**2 + 4 * size * self.width)) / self.width)
-        force = mass[:, None] * self.part.gather(change)[:nv]
-        at = s.vertices[: s.num_vertices]
-        at = at[at < nv]
-        s.grids[0, at, 1 + self.mesh.dim :] += force[at]
+        here = np.flatnonzero(stages.inverse)
+        speed, size = (np.linalg.norm(x[here], axis=1) for x in (stages.now, change))
+        width = self.width[here]
+        self.solid_rate = np.max(0.5 * (speed + np.sqrt(speed**2 + 4 * size * width)) / width, initial=0)
+        force, at = self.part.gather(change), self.solid_vertices()
+        s.grids[0, at, 1 + self.mesh.dim :] += mass[at, None] * force[at]
 
     def solid_velocity(self):
         """(n, d) velocity of the solid now, at this rank's nodes at vertices. Collective."""
         s, nv = self.solid, len(self.mesh.points)
-        velocity = np.where((s.stamp[:nv] == s.steps)[:, None], s.velocity[:nv], 0.0)
+        velocity, at = np.zeros((nv, self.mesh.dim)), self.solid_vertices()
+        velocity[at] = s.velocity[at]
         if self.ranks.size > 1:  # ranks that share a vertex all have its velocity
-            velocity = self.ranks.sum(velocity)
-            velocity /= np.maximum(self.ranks.sum((s.stamp[:nv] == s.steps).astype(float)), 1)[:, None]
+            velocity, count = self.ranks.sum(velocity), np.zeros(nv)
+            count[at] = 1
+            velocity /= np.maximum(self.ranks.sum(count), 1)[:, None]
         out = np.zeros((len(self.part.nodes), self.mesh.dim))
         out[self.vertices] = velocity[self.part.nodes[self.vertices]]
         return out

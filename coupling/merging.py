@@ -60,6 +60,21 @@ def settle(nodes, held, theta, start, adjacent, root):
 
 
 @njit(cache=True)
+def add_open_neighbours(edges, closed, U, sums):
+    """Add to `sums` (n, 1 + m) of closed nodes 1 and U (n, m) for each open neighbour; of these, 1 each."""
+    for e in range(len(edges)):
+        i, j = edges[e, 0], edges[e, 1]
+        if closed[i] == closed[j]:
+            continue
+        if closed[j]:
+            i, j = j, i
+        sums[i, 0] += 1.0
+        sums[j, 0] += 1.0
+        for k in range(U.shape[1]):
+            sums[i, 1 + k] += U[j, k]
+
+
+@njit(cache=True)
 def most_open(i, best, held, theta, start, adjacent):
     """The most open of node `best`, -1 for none, and i's neighbours that were open; the first of equals."""
     for k in range(start[i], start[i + 1]):

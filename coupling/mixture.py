@@ -24,27 +24,32 @@ EXTRAPOLATE = 1 + np.sqrt(2)  # (1 - gamma) / gamma of the two-stage scheme
 
 
 @njit(**options)
-def add_work(shape, nodes, dofs, coefficients, weights, P, expansion, theta, alpha, gas, solid, out):
+def add_work(shape, nodes, dofs, coefficients, weights, dry, P, expansion, theta, alpha, gas, solid, out):
     """Add to `out` (n,) the energy that the pressure gives to each node's gas; returns what no gas takes.
 
     A node gets the work on its gas, and of the heat -P times the expansion of the gas in a cell a share. The
     expansion is what the flux of both phases leaves when that of the ghost matrix, `expansion` (nc, np), is
-    taken off: so the gas loses what the solid and its ghost gain.
+    taken off: so the gas loses what the solid and its ghost gain. `dry` (nc,) marks cells of gas alone.
     """
     per_cell, corners, size = shape
     lost = 0.0
     for c in range(len(nodes)):
         for q in range(len(per_cell)):
-            p, total, gassy = P[dofs[c, q]], -expansion[c, q], 0.0
+            p, total, gassy = P[dofs[c, q]], 0.0, 1.0
+            if not dry[c]:
+                total, gassy = -expansion[c, q], 0.0
             for b in range(len(corners)):
                 i = nodes[c, b]
                 own = other = 0.0
                 for a in range(len(size)):
                     own += coefficients[c, q, b, a] * gas[i, a]
-                    other += coefficients[c, q, b, a] * solid[i, a]
-                out[i] += p * theta[i] * own
-                total += theta[i] * own + alpha[i] * other
-                gassy += weights[q, b] * theta[i]
+                if not dry[c]:
+                    own *= theta[i]
+                    gassy += weights[q, b] * theta[i]
+                    for a in range(len(size)):
+                        other += alpha[i] * coefficients[c, q, b, a] * solid[i, a]
+                out[i] += p * own
+                total += own + other
             if gassy > 0.0:
                 for b in range(len(corners)):
                     i = nodes[c, b]
@@ -54,12 +59,46 @@ def add_work(shape, nodes, dofs, coefficients, weights, P, expansion, theta, alp
     return lost
 
 
+@njit(**options)
+def add_push(size, nodes, share, inverse, place, walls, dt, force, out):
+    """Add to `out` (n, d) what a force (n, d), of which the solid feels a share, does to it at some nodes.
+
+    `place` (n,) is the number of a node's projection in `walls`, -1 where it is free.
+    """
+    for i in nodes:
+        for a in range(len(size)):
+            push = force[i, a]
+            if place[i] >= 0:
+                push = 0.0
+                for b in range(len(size)):
+                    push += walls[place[i], a, b] * force[i, b]
+            out[i, a] += dt * inverse[i] * share[i] * push
+
+
+@njit(**options)
+def mix(size, nodes, theta, alpha, gas, solid, out):
+    """Make `out` (n, d), the velocity of the gas, that of both phases at some nodes."""
+    for i in nodes:
+        for a in range(len(size)):
+            out[i, a] = theta[i] * gas[i, a] + alpha[i] * solid[i, a]
+
+
+@njit(**options)
+def both_pressures(gas_volume, star, stiff, soft, ghost, dt, target, stiffness):
+    """P* and S (nq,) of gas, its mean pressure and rho c^2 given, and ghost matrix, its compliance given."""
+    for q in range(len(star)):
+        gas = gas_volume[q] / stiff[q] if gas_volume[q] > 0.0 else 0.0
+        push = gas * star[q] if gas > 0.0 else 0.0
+        target[q] = (push + soft[q] * ghost[q]) / (gas + soft[q])
+        stiffness[q] = (gas + soft[q]) / dt
+
+
 class Mixture(Stages):
     """The stages of a step of gas beside a solid, see `Stages`; `begin` tells them where the solid is.
 
     Attributes
     ----------
-    theta, alpha : (n,) open and filled share of the dual cells
+    theta : (n,) open share of the dual cells; wet, closed : nodes where it is not all, and none
     start, now : (n, d) velocity of the solid at the nodes when the step begins, and after the last stage
     ghost : (nq,) pressure of the ghost matrix as the step begins; P : the last pressure
     lost : energy that the pressure gave to vertices without gas in this step
@@ -69,9 +108,9 @@ class Mixture(Stages):
         super().__init__(*args)
         part, s = self.part, self.part.space
         d, n = s.dim, len(s.points)
-        self.theta, self.alpha, self.start, self.lost = np.ones(n), np.zeros(n), np.zeros((n, d)), 0.0
-        self.walls = self.special, self.free.copy()
-        self.walls[1][np.isin(self.special, self.fixed)] = np.eye(d)
+        self.theta, self.start, self.lost = np.ones(n), np.zeros((n, d)), 0.0
+        self.walls = self.free.copy()  # of the solid, at special nodes: not held at inflows
+        self.walls[np.isin(self.special, self.fixed)] = np.eye(d)
         # nodes of degree two in the middle of edges take the mean of the solid's velocity at the ends
         self.ends = None
         if s.cell_nodes.shape[1] > d + 1:
@@ -86,11 +125,13 @@ class Mixture(Stages):
         special = np.union1d(self.special, vertices).astype(np.int32)
         free, walls = (np.broadcast_to(np.eye(d), (len(special), d, d)).copy() for _ in range(2))
         old = np.searchsorted(special, self.special)
-        free[old], walls[old] = self.free, self.walls[1]
+        free[old], walls[old] = self.free, self.walls
         at = np.searchsorted(special, vertices)
         walls[at] = project @ walls[at]
         self.open_special = old[self.open_special]
-        self.special, self.free, self.walls = special, free, (special, walls)
+        self.special, self.free, self.walls = special, free, walls
+        self.place = np.full(len(self.theta), -1, np.int32)
+        self.place[special] = np.arange(len(special))
 
     def begin(self, theta, openness, flat, velocity, inverse_mass, compliance, ghost):
         """Take up the solid at the start of a step.
@@ -103,13 +144,17 @@ class Mixture(Stages):
         compliance : (nq,) int alpha / (lambda_g J_g); ghost : (nq,) pressure p_g
         """
         s = self.part.space
-        self.theta, self.alpha, self.openness, self.flat = theta, 1 - theta, openness, flat
-        self.closed = theta == 0
-        self.share = np.where(self.closed, 1.0, theta)
+        self.theta, self.openness, self.flat = theta, openness, flat
+        self.wet, self.closed = np.flatnonzero(theta < 1), np.flatnonzero(theta == 0)
+        self.share = theta.copy()
+        self.share[self.closed] = 1
         self.volumes = self.share * s.volumes
-        self.start, self.solid_inverse = self.lift(velocity), inverse_mass
-        self.moved = self.alpha * (self.lift(inverse_mass[:, None])[:, 0] > 0)
+        self.start, self.inverse = self.lift(velocity), self.lift(inverse_mass[:, None])[:, 0]
+        self.moved = np.zeros(len(theta))
+        self.moved[self.wet] = (1 - theta[self.wet]) * (self.inverse[self.wet] > 0)
+        self.pushed = self.wet if self.ends is None else np.flatnonzero(inverse_mass)
         self.compliance, self.ghost, self.lost = compliance, ghost, 0.0
+        self.dry = np.all(theta[s.cell_nodes] == 1, axis=1)
         sums = np.zeros((len(ghost), 3))
         lists = s.cell_nodes, s.cell_pressures, s.weights, s.cell_volumes
         pressure.add_means(self.part.shape, *lists, theta, theta, theta, sums)
@@ -142,19 +187,26 @@ class Mixture(Stages):
         gradient[self.flat] = 0
 
     def outflow_of(self, velocity, values=None):
-        return super().outflow_of(velocity, values) / self.share
+        return self.per_open_volume(super().outflow_of(velocity, values))
 
-    def push(self, force):
-        """(n, d) velocity that a force (n, d) on both phases, per time, gives the solid. Collective."""
-        out = self.lower(self.moved[:, None] * force)
-        pressure.divide_by_mass(self.part.size, self.solid_inverse, *self.walls, out)
-        return self.lift(out)
+    def per_open_volume(self, values):
+        """Values (n,) per dual volume divided by its open share, in place."""
+        values[self.wet] /= self.share[self.wet]
+        return values
+
+    def add_push(self, dt, force, velocity):
+        """Add to the solid's velocity (n, d) what a force (n, d) on both phases does in dt. Collective."""
+        share = self.moved
+        if self.ends is not None:
+            force, share = self.lower(self.moved[:, None] * force), np.ones(len(force))
+        fixed = share, self.inverse, self.place, self.walls, dt
+        add_push(self.part.size, self.pushed, *fixed, force, velocity)
+        return self.lift(velocity)
 
     def implicit_pressure(self, U, dt, advected=None, star=None):
         """The conserved variables of the gas after the pressure has acted on it and the solid. Collective."""
         part, before = self.part, self.before_pressure(U, dt, advected, star)
-        theta, alpha, inverse = self.theta[:, None], self.moved[:, None], before.inverse
-        tensors = self.free_directions(dt, inverse)
+        inverse, tensors = before.inverse, self.free_directions(dt, before.inverse)
         solid, ghost = self.start, self.ghost
         if star is not None:
             solid = solid + EXTRAPOLATE * (self.now - solid)
@@ -162,16 +214,19 @@ class Mixture(Stages):
         target, stiffness = self.targets(U, before, ghost, dt)
 
         force = self.force(target)
-        gas = before.velocity / inverse[:, None] + dt * force
+        gas = before.velocity
+        pressure.accelerate(part.size, inverse, dt, force, gas)
         pressure.divide_by_mass(part.size, inverse, self.special, tensors, gas)
         gas[self.fixed] = self.fixed_state[:, 1:-1]
-        new = solid + dt * self.push(force)
-        rhs = -part.divergence(theta * gas + alpha * new, np.empty(len(target)))
+        new = self.add_push(dt, force, solid.copy())
+        flux = gas.copy()
+        mix(part.size, self.wet, self.theta, self.moved, gas, new, flux)
+        rhs = -part.divergence(flux, np.empty(len(target)))
         blocks, divide = self.mobility(inverse, tensors)
         increment = self.system.solve(dt, stiffness, *blocks, rhs, divide)
         self.iterations.append(self.system.iterations)
         force = part.pressure_force(increment, force)
-        new += dt * self.push(force)
+        self.add_push(dt, force, new)
         pressure.divide_by_mass(part.size, inverse, self.special, tensors, force)
         gas += dt * force
         gas[self.closed] = new[self.closed]
@@ -180,7 +235,7 @@ class Mixture(Stages):
         work = self.work(0.5 * (solid + new), gas, ghost, dt)
         if len(self.open.nodes):
             work[self.open.nodes] -= self.open.power(gas) * self.theta[self.open.nodes]
-        out = self.after_pressure(U, dt, before, gas, work / self.share)
+        out = self.after_pressure(U, dt, before, gas, self.per_open_volume(work))
         out[self.closed] = U[self.closed]
         return out
 
@@ -190,31 +245,34 @@ class Mixture(Stages):
         The ghost matrix has to follow the velocity with which the particles will move: with that from before
         the stress has acted, it would lag behind and feed the solid's waves. Collective.
         """
-        change = self.moved[:, None] * (self.lift(velocity) - self.now)
+        change = np.zeros_like(velocity)
+        mix(self.part.size, self.wet, self.moved, -self.moved, self.lift(velocity), self.now, change)
         return -self.part.divergence(change, np.empty(len(self.P))) / self.stiffness
 
     def targets(self, U, before, ghost, dt):
         """P* and S (nq,) of the gas and the ghost matrix together. Collective."""
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):  # cells without gas
             star, stiff = self.part.means(self.theta * U[:, 0], before.star, before.bulk)
-            compliance = np.where(self.gas_volume > 0, self.gas_volume / stiff, 0)
-        stiffness = compliance + self.compliance
-        star = np.where(self.gas_volume > 0, star, 0)
-        return (compliance * star + self.compliance * ghost) / stiffness, stiffness / dt
+        target, stiffness = np.empty(len(star)), np.empty(len(star))
+        soft = self.compliance, ghost, dt
+        both_pressures(self.gas_volume, star, stiff, *soft, target, stiffness)
+        return target, stiffness
 
     def mobility(self, inverse, tensors):
         """What divides a force by the mass of both phases, see `PressureSystem.solve`."""
-        size, special = self.part.size, self.special
-        gas, solid = self.theta * inverse, self.moved**2 * self.lift(self.solid_inverse[:, None].copy())[:, 0]
+        wet, special = self.wet, self.special
+        gas, solid = inverse.copy(), np.zeros(len(inverse))
+        gas[wet] *= self.theta[wet]
+        solid[wet] = self.moved[wet] ** 2 * self.inverse[wet]
         both = np.maximum(gas + solid, 1e-300)
-        blocks = gas[special, None, None] * tensors + solid[special, None, None] * self.walls[1]
+        blocks = gas[special, None, None] * tensors + solid[special, None, None] * self.walls
         fused = both, special, blocks / both[special, None, None]
         if self.ends is None:
             return fused, None
 
         def divide(force):
-            by_solid = self.push(force)
-            pressure.divide_by_mass(size, gas, special, tensors, force)
+            by_solid = self.add_push(1.0, force, np.zeros_like(force))
+            pressure.divide_by_mass(self.part.size, gas, special, tensors, force)
             force += self.moved[:, None] * by_solid
 
         return fused, divide
@@ -225,7 +283,7 @@ class Mixture(Stages):
         expansion = self.compliance * (ghost - self.P) / dt / s.pressure_volumes
         per_cell = s.cell_pressures.shape[1]
         expansion = expansion[s.cell_pressures] * (s.cell_volumes / per_cell)[:, None]
-        lists = s.cell_nodes, s.cell_pressures, s.coefficients, s.weights
+        lists = s.cell_nodes, s.cell_pressures, s.coefficients, s.weights, self.dry
         shares = self.theta, self.moved, gas, solid
         self.lost += dt * add_work(part.shape, *lists, self.P, expansion, *shares, out)
         return part.sum_nodes(out)

@@ -124,6 +124,15 @@ def after_solve(size, velocity, work, outflow, dt, volumes, gravity, U, out):
 
 
 @njit(**options)
+def accelerate(size, inverse, dt, force, velocity):
+    """Make a velocity (n, d) a momentum, by 1 / mass (n,), and add dt times the force (n, d)."""
+    for i in range(len(inverse)):
+        mass = 1.0 / inverse[i]
+        for a in range(len(size)):
+            velocity[i, a] = mass * velocity[i, a] + dt * force[i, a]
+
+
+@njit(**options)
 def divide_by_mass(size, inverse, special, tensors, force):
     """Make a force (n, d) a velocity: `inverse` (n,) of the mass, `tensors` (k, d, d) at `special` nodes."""
     x = np.empty(len(size))

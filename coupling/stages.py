@@ -134,8 +134,8 @@ class Stages:
         # means over the mass of a cell, not its volume: rarefactions that begin at a jump lag less behind
         star, stiff = part.means(np.ascontiguousarray(U[:, 0]), before.star, before.bulk)
         force = self.force(star)
-        velocity = before.velocity / before.inverse[:, None]
-        velocity += dt * force
+        velocity = before.velocity
+        pressure.accelerate(part.size, before.inverse, dt, force, velocity)
         pressure.divide_by_mass(part.size, *mass, velocity)
         velocity[self.fixed] = self.fixed_state[:, 1:-1]
         rhs = -part.divergence(velocity, np.empty(len(star)))

@@ -26,7 +26,7 @@ import numpy as np
 from numba import njit
 
 from .materials import Hencky, hencky_energy
-from .spectral import add_product, compose, inlined, kernel_options, principal_strains
+from .spectral import add_product, compose, determinants, inlined, kernel_options, principal_strains
 
 # Strains closer than this to the yield surface count as on it: F^e is stored to a few 1e-16, so that
 # a state just returned is found admissible and left as it is, bit by bit.
@@ -52,7 +52,8 @@ class Plastic(Hencky):
 def volume_ratio(deformation_gradient, lateral_strain=0.0, plastic_volume=0.0, **state):
     """(n,) det F of the whole deformation, from F^e (n, d, d) and the state variables of a law."""
     d = deformation_gradient.shape[1]
-    return np.linalg.det(deformation_gradient) * np.exp((3 - d) * lateral_strain + plastic_volume)
+    ratio = determinants(deformation_gradient, np.empty(len(deformation_gradient)))
+    return ratio * np.exp((3 - d) * lateral_strain + plastic_volume)
 
 
 @dataclass(frozen=True)

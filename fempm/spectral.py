@@ -29,6 +29,14 @@ def determinant(f, p):
     )
 
 
+@njit(**kernel_options)
+def determinants(f, out):
+    """det f (n, d, d), d <= 3, into `out` (n,)."""
+    for p in range(len(f)):
+        out[p] = determinant(f, p)
+    return out
+
+
 @njit(**inlined)
 def log_determinant(f, p):
     """ln det f[p]; nan where det f[p] is not in (0, inf)."""
