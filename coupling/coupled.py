@@ -10,10 +10,11 @@ from fempm.solver import SimulationError
 from . import fractions, merging
 from .boundaries import Periodic
 from .flow import Flow
-from .mixture import Mixture
-from .pressure import add_means
+from .mixture import Mixture, add_filled
+from .sharp import Sharp
 
 GHOST = "ghost_volume_ratio"  # J_g of the particles
+INTERFACES = {"mixture": Mixture, "sharp": Sharp}
 STIFF = 20.0  # least lambda_g over the largest pressure of the gas
 
 
@@ -28,6 +29,7 @@ class Coupled(Flow):
     solid : fempm.Simulation, whose mesh this is; from now on this object steps it
     eos, initial, boundaries, pair, scheme, limiter, cfl, gravity : see `Flow`; the initial state is asked for
         inside of the solid as well, its pressure there is that of the ghost matrix
+    interface : "mixture", by volume fractions, or "sharp", the thesis's with multipliers, see `sharp`
     openness : share of a dual face that is open to the gas, see `fractions.edge_openness`
     ghost_modulus : lambda_g of the ghost matrix that gives the solid a pressure; when not given that of each
         body's pressure waves, rho c^2, or twenty times the gas's largest pressure if that is more
@@ -39,9 +41,19 @@ class Coupled(Flow):
     unclaimed : energy that the pressure gave to vertices without gas, lost to round-off and implicit damping
     """
 
-    stages_kind = Mixture
-
-    def __init__(self, solid, eos, initial, boundaries, openness="least", ghost_modulus=None, **options):
+    def __init__(
+        self,
+        solid,
+        eos,
+        initial,
+        boundaries,
+        interface="mixture",
+        openness="least",
+        ghost_modulus=None,
+        **options,
+    ):
+        if interface not in INTERFACES:
+            raise ValueError(f"interface {interface!r}: give one of {', '.join(map(repr, INTERFACES))}")
         if openness not in fractions.OPENNESS:
             raise ValueError(f"openness {openness!r}: give one of {', '.join(map(repr, fractions.OPENNESS))}")
         if any(isinstance(c, Periodic) for c in boundaries):
@@ -55,6 +67,7 @@ class Coupled(Flow):
             raise ValueError(
                 f"gravity {options['gravity']} of the gas, {solid.gravity} of the solid: give one"
             )
+        self.interface, self.stages_kind = interface, INTERFACES[interface]
         super().__init__(solid.mesh, eos, initial, boundaries, **options)
         self.solid, self.openness, self.unclaimed, self.solid_rate = solid, openness, 0.0, 0.0
         whole = self.part.whole
@@ -98,8 +111,10 @@ class Coupled(Flow):
         sizes = self.part.size, (1,) * whole.cell_nodes.shape[1]
         fractions.add_volumes(*sizes, p.position, p.cell, values, *lists, sums)
         alpha, compliance, ghost = (self.ranks.sum(sums) / whole.volumes[:, None]).T
-        theta = fractions.open_share(alpha)
-        return theta, compliance, ghost
+        if self.interface == "mixture":
+            return fractions.open_share(alpha), compliance, ghost
+        of_gas = np.minimum(alpha, 1)[whole.cell_nodes].mean(axis=1) < 0.5
+        return self.stages.divide_cells(of_gas), compliance, ghost
 
     def settle(self, theta, held):
         """Close and open nodes, and find where small ones share their state: changes theta. Collective."""
@@ -136,7 +151,7 @@ class Coupled(Flow):
         theta, compliance, ghost = self.shares()
         self.settle(theta, self.theta > 0)
         U = self.regrid(U, self.theta, theta)
-        self.begin(U, theta, mass, velocity, *self.ghost_pressure(compliance, ghost))
+        self.begin(U, theta, mass, velocity, *self.filled_cells(theta, compliance, ghost))
         U = super().one_step(U, dt, scheme, limiter)
         self.push_solid(mass, dt)
         solid.update_grid(dt)
@@ -167,7 +182,7 @@ class Coupled(Flow):
         at = self.solid.vertices[: self.solid.num_vertices]
         return at[at < len(self.mesh.points)]
 
-    def begin(self, U, theta, mass, velocity, compliance, ghost):
+    def begin(self, U, theta, mass, velocity, *cells):
         """Give the stages the solid, and closed nodes of U the state of their neighbours. Collective."""
         part, s = self.part, self.part.space
         theta, local = theta[part.nodes], part.nodes[self.vertices]
@@ -182,30 +197,34 @@ class Coupled(Flow):
         inverse, start = np.zeros(len(theta)), np.zeros((len(theta), self.mesh.dim))
         heavy = np.flatnonzero(mass[local])
         inverse[self.vertices[heavy]] = 1 / mass[local[heavy]]
-        start[self.vertices] = velocity[local]
+        start[self.vertices[heavy]] = velocity[local[heavy]]
         openness = fractions.edge_openness(self.openness, theta, s)
         flat = np.flatnonzero(beside & ~closed)
-        self.stages.begin(theta, openness, flat, start, inverse, compliance, ghost)
+        self.stages.begin(theta, openness, flat, start, inverse, *cells)
 
-    def ghost_pressure(self, compliance, ghost):
-        """int alpha / (lambda_g J_g), and the pressure of the ghost matrix (nq,), from nodes. Collective.
+    def filled_cells(self, theta, compliance, ghost):
+        """What `Mixture.begin` needs of the cells: filled, ghost and dry, from nodal values. Collective.
 
-        The pressure is the mean over the particles by the same weights with which `squeeze` hands its change
-        back to them, so that it takes up that change; the mean over the nodes is for cells without any.
+        The ghost's pressure is the mean over the particles by the same weights with which `squeeze` hands its
+        change back to them, so that it takes up that change; the mean over the nodes is for cells without any.
         """
         part, s = self.part, self.part.space
-        sums = np.zeros((len(part.dofs), 3))
+        filled, dry = np.zeros((len(part.dofs), 3)), np.empty(len(s.cell_nodes), np.uint8)
         lists = s.cell_nodes, s.cell_pressures, s.weights, s.cell_volumes
-        nodal = (np.ones(len(part.nodes)), compliance[part.nodes], ghost[part.nodes])
-        add_means(part.shape, *lists, *nodal, sums)
-        _, compliance, ghost = part.sum_dofs(sums).T
+        at = part.nodes
+        add_filled(part.shape, *lists, theta[at], compliance[at], ghost[at], dry, filled)
+        part.sum_dofs(filled)
         dofs, weight, pressure = self.particle_pressures()
         own = np.zeros((len(part.whole.pressure_volumes), 2))
         for k, value in enumerate((weight, weight * pressure)):
             own[:, k] = np.bincount(dofs.ravel(), value.ravel(), len(own))
-        own = self.ranks.sum(own)[part.dofs]
-        ghost = np.where(own[:, 0] > 0, own[:, 1], ghost)
-        return compliance.copy(), ghost / np.maximum(np.where(own[:, 0] > 0, own[:, 0], compliance), 1e-300)
+        sums = self.ranks.sum(own)[part.dofs]
+        few = np.flatnonzero((sums[:, 0] == 0) & (filled[:, 1] > 0))
+        sums[few] = filled[few, 1:]
+        solid = np.flatnonzero(sums[:, 0])
+        mean = np.zeros(len(sums))
+        mean[solid] = sums[solid, 1] / sums[solid, 0]
+        return filled, mean, dry
 
     def particle_pressures(self):
         """Dofs (np, k) of the cells of the particles, the particles' weights there, and p_g (np, 1)."""
@@ -236,7 +255,9 @@ class Coupled(Flow):
             count[at] = 1
             velocity /= np.maximum(self.ranks.sum(count), 1)[:, None]
         out = np.zeros((len(self.part.nodes), self.mesh.dim))
-        out[self.vertices] = velocity[self.part.nodes[self.vertices]]
+        at = np.flatnonzero(self.stages.inverse)
+        at = at[at < len(self.vertices)]  # vertices come first
+        out[at] = velocity[self.part.nodes[at]]
         return out
 
     def squeeze(self, pressure):
@@ -315,7 +336,7 @@ class Coupled(Flow):
     def fingerprint(self):
         """What a checkpoint and the scene that goes on from it must have in common."""
         both = super().fingerprint() | checkpoint.fingerprint(self.solid)
-        return both | {"coupling": f"{self.openness}, ghost moduli {self.moduli.tolist()}"}
+        return both | {"coupling": f"{self.interface}, {self.openness}, ghost moduli {self.moduli.tolist()}"}
 
 
 def barycentric(mesh, particles):

@@ -88,4 +88,13 @@ def edge_openness(kind, theta, space):
         solid, face = (1 - theta) * space.volumes, space.volumes ** (1 - 1 / space.dim)
         disk = 2 * np.sqrt(solid / np.pi) if space.dim == 2 else np.pi * (3 * solid / (4 * np.pi)) ** (2 / 3)
         theta = np.where(theta > 0, 1 - np.minimum(disk / face, 1), 0)
-    return np.minimum(theta[space.edges[:, 0]], theta[space.edges[:, 1]])
+    return least_of_ends(space.edges, theta)
+
+
+@njit(**options)
+def least_of_ends(edges, values):
+    """(ne,) smaller one of the values (n,) at the two ends of each edge."""
+    out = np.empty(len(edges))
+    for e in range(len(edges)):
+        out[e] = min(values[edges[e, 0]], values[edges[e, 1]])
+    return out

@@ -24,12 +24,13 @@ EXTRAPOLATE = 1 + np.sqrt(2)  # (1 - gamma) / gamma of the two-stage scheme
 
 
 @njit(**options)
-def add_work(shape, nodes, dofs, coefficients, weights, dry, P, expansion, theta, alpha, gas, solid, out):
+def add_work(shape, nodes, dofs, coefficients, weights, dry, P, expansion, theta, alpha, gas, old, new, out):
     """Add to `out` (n,) the energy that the pressure gives to each node's gas; returns what no gas takes.
 
     A node gets the work on its gas, and of the heat -P times the expansion of the gas in a cell a share. The
     expansion is what the flux of both phases leaves when that of the ghost matrix, `expansion` (nc, np), is
-    taken off: so the gas loses what the solid and its ghost gain. `dry` (nc,) marks cells of gas alone.
+    taken off: so the gas loses what the solid, with `old` and `new` velocity, and its ghost gain. `dry` (nc,)
+    marks cells of gas alone.
     """
     per_cell, corners, size = shape
     lost = 0.0
@@ -47,7 +48,7 @@ def add_work(shape, nodes, dofs, coefficients, weights, dry, P, expansion, theta
                     own *= theta[i]
                     gassy += weights[q, b] * theta[i]
                     for a in range(len(size)):
-                        other += alpha[i] * coefficients[c, q, b, a] * solid[i, a]
+                        other += 0.5 * alpha[i] * coefficients[c, q, b, a] * (old[i, a] + new[i, a])
                 out[i] += p * own
                 total += own + other
             if gassy > 0.0:
@@ -57,6 +58,29 @@ def add_work(shape, nodes, dofs, coefficients, weights, dry, P, expansion, theta
             else:
                 lost -= p * total
     return lost
+
+
+@njit(**options)
+def add_filled(shape, nodes, dofs, weights, volumes, theta, compliance, ghost, dry, out):
+    """Add to `out` (nq, 3) int alpha, int alpha / (lambda_g J_g) and that times p_g; `dry` (nc,).
+
+    `compliance` (n,) and `ghost` are alpha / (lambda_g J_g) and that times p_g at the nodes.
+    """
+    per_cell, corners, _ = shape
+    for c in range(len(nodes)):
+        dry[c] = 1
+        for b in range(len(corners)):
+            if theta[nodes[c, b]] < 1.0 or compliance[nodes[c, b]] > 0.0:
+                dry[c] = 0
+        if dry[c]:
+            continue
+        for q in range(len(per_cell)):
+            for b in range(len(corners)):
+                share = weights[q, b] * volumes[c] / len(per_cell)
+                i = nodes[c, b]
+                out[dofs[c, q], 0] += share * (1.0 - theta[i])
+                out[dofs[c, q], 1] += share * compliance[i]
+                out[dofs[c, q], 2] += share * ghost[i]
 
 
 @njit(**options)
@@ -133,7 +157,7 @@ class Mixture(Stages):
         self.place = np.full(len(self.theta), -1, np.int32)
         self.place[special] = np.arange(len(special))
 
-    def begin(self, theta, openness, flat, velocity, inverse_mass, compliance, ghost):
+    def begin(self, theta, openness, flat, velocity, inverse_mass, filled, ghost, dry):
         """Take up the solid at the start of a step.
 
         Parameters
@@ -141,7 +165,8 @@ class Mixture(Stages):
         theta : (n,) open shares; openness : (ne,) of the dual faces
         flat : nodes beside closed ones, where states are not reconstructed
         velocity, inverse_mass : (n, d), (n,) of the solid, at vertices
-        compliance : (nq,) int alpha / (lambda_g J_g); ghost : (nq,) pressure p_g
+        filled : (nq, 2 or more) int alpha and int alpha / (lambda_g J_g); ghost : (nq,) pressure p_g
+        dry : (nc,) marks cells of gas alone
         """
         s = self.part.space
         self.theta, self.openness, self.flat = theta, openness, flat
@@ -153,12 +178,9 @@ class Mixture(Stages):
         self.moved = np.zeros(len(theta))
         self.moved[self.wet] = (1 - theta[self.wet]) * (self.inverse[self.wet] > 0)
         self.pushed = self.wet if self.ends is None else np.flatnonzero(inverse_mass)
-        self.compliance, self.ghost, self.lost = compliance, ghost, 0.0
-        self.dry = np.all(theta[s.cell_nodes] == 1, axis=1)
-        sums = np.zeros((len(ghost), 3))
-        lists = s.cell_nodes, s.cell_pressures, s.weights, s.cell_volumes
-        pressure.add_means(self.part.shape, *lists, theta, theta, theta, sums)
-        self.gas_volume = self.part.sum_dofs(sums)[:, 0].copy()
+        self.compliance, self.ghost, self.lost, self.dry = filled[:, 1].copy(), ghost, 0.0, dry
+        self.gas_volume = s.pressure_volumes - filled[:, 0]
+        self.gas_volume[self.gas_volume < 1e-12 * s.pressure_volumes] = 0
         self.now, self.P = self.start, ghost
 
     def lift(self, values):
@@ -209,7 +231,8 @@ class Mixture(Stages):
         inverse, tensors = before.inverse, self.free_directions(dt, before.inverse)
         solid, ghost = self.start, self.ghost
         if star is not None:
-            solid = solid + EXTRAPOLATE * (self.now - solid)
+            solid = solid.copy()
+            solid[self.pushed] += EXTRAPOLATE * (self.now - solid)[self.pushed]
             ghost = ghost + EXTRAPOLATE * (self.P - ghost)
         target, stiffness = self.targets(U, before, ghost, dt)
 
@@ -232,7 +255,7 @@ class Mixture(Stages):
         gas[self.closed] = new[self.closed]
         self.P, self.now, self.stiffness = target + increment, new, stiffness
 
-        work = self.work(0.5 * (solid + new), gas, ghost, dt)
+        work = self.work(solid, new, gas, ghost, dt)
         if len(self.open.nodes):
             work[self.open.nodes] -= self.open.power(gas) * self.theta[self.open.nodes]
         out = self.after_pressure(U, dt, before, gas, self.per_open_volume(work))
@@ -277,13 +300,13 @@ class Mixture(Stages):
 
         return fused, divide
 
-    def work(self, solid, gas, ghost, dt):
+    def work(self, old, new, gas, ghost, dt):
         """(n,) power of the pressure on the gas of each node, `lost` counting the rest. Collective."""
         part, s, out = self.part, self.part.space, np.zeros(len(self.theta))
         expansion = self.compliance * (ghost - self.P) / dt / s.pressure_volumes
         per_cell = s.cell_pressures.shape[1]
         expansion = expansion[s.cell_pressures] * (s.cell_volumes / per_cell)[:, None]
         lists = s.cell_nodes, s.cell_pressures, s.coefficients, s.weights, self.dry
-        shares = self.theta, self.moved, gas, solid
+        shares = self.theta, self.moved, gas, old, new
         self.lost += dt * add_work(part.shape, *lists, self.P, expansion, *shares, out)
         return part.sum_nodes(out)

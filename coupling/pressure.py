@@ -176,13 +176,14 @@ class PressureSystem:
     Parameters
     ----------
     part : Part, the space of this rank
+    more : unknowns of this rank beside the pressures
 
     Attributes
     ----------
     iterations : of the last solve
     """
 
-    def __init__(self, part):
+    def __init__(self, part, more=0):
         from fempm import compat  # noqa: F401, before PETSc: see there
 
         # isort: split
@@ -194,7 +195,7 @@ class PressureSystem:
         self.pressure, self.result = (np.zeros(len(space.pressure_volumes)) for _ in range(2))
         self.velocity = np.empty_like(space.points)
         comm = part.ranks.comm or MPI.COMM_SELF
-        sizes = ((part.num_owned, None),) * 2
+        sizes = ((part.num_owned + more, None),) * 2
         matrix = PETSc.Mat().createPython(sizes, self, comm)
         matrix.setOption(PETSc.Mat.Option.SPD, True)
         matrix.setUp()
@@ -226,11 +227,15 @@ class PressureSystem:
         StepFailed
             if it breaks down, with its reason
         """
-        from petsc4py import PETSc
-
         self.dt, self.stiffness, self.mass = dt, stiffness, (inverse, special, tensors)
         self.mobility = mobility
-        self.right.array[:] = rhs[self.part.owned]
+        return self.part.spread(self.solve_for(rhs[self.part.owned]))
+
+    def solve_for(self, rhs):
+        """The solution for a right hand side, both of this rank's unknowns, after `mult` knows its matrix."""
+        from petsc4py import PETSc
+
+        self.right.array[:] = rhs
         self.ksp.getOperators()[0].assemble()
         self.ksp.solve(self.right, self.left)
         self.iterations = self.ksp.getIterationNumber()
@@ -242,7 +247,7 @@ class PressureSystem:
             )
         if reason < 0:
             raise StepFailed(f"PETSc cannot solve for the pressure (reason {reason})")
-        return self.part.spread(self.left.array_r)
+        return self.left.array_r
 
     def mult(self, matrix, x, y):
         """y = (S + dt A^T M^-1 A) x, for PETSc."""

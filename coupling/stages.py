@@ -62,6 +62,7 @@ class Stages:
         self.system = pressure.PressureSystem(part)
         self.iterations, self.cut = [], 0
         self.openness, self.volumes = None, part.space.volumes  # all of them open to the gas
+        self.graph = part.space.forward, part.space.backward
         n, d = part.space.points.shape
         self.gradient, self.active = np.empty((n, d + 2, d)), np.empty(len(part.space.edges), np.int32)
         self.needed = np.empty(n, np.uint8)
@@ -90,7 +91,7 @@ class Stages:
         sound = np.sqrt(self.eos.bulk_modulus(W[:, 0], p) / W[:, 0])
         active = self.active[: advection.active_edges(s.edges, W, STILL * sound, self.active, self.needed)]
         part.sum_nodes(self.needed)
-        graph = s.forward, s.backward
+        graph = self.graph
         advection.gradients(part.size, s.edges, *graph, s.volumes, W, self.needed, self.gradient)
         if part.ranks.size > 1:
             self.gradient[self.needed == 0] = 0  # what nobody has computed must not pile up
@@ -199,7 +200,7 @@ class Stages:
     def outflow_of(self, velocity, values=None):
         """m_i div (values u), central on each edge; values (n,) are 1 if not given. Collective."""
         s, ends, out = self.part.space, self.open, np.zeros(len(velocity))
-        graph = s.edges, s.forward, s.backward
+        graph = s.edges, *self.graph
         advection.add_outflow(self.part.size, *graph, velocity, values, self.openness, out)
         self.part.sum_nodes(out)
         for nodes, area in ((ends.nodes, ends.area), (self.fixed, self.fixed_area)):
