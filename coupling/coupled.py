@@ -112,7 +112,7 @@ class Coupled(Flow):
         fractions.add_volumes(*sizes, p.position, p.cell, values, *lists, sums)
         alpha, compliance, ghost = (self.ranks.sum(sums) / whole.volumes[:, None]).T
         if self.interface == "mixture":
-            return fractions.open_share(alpha), compliance, ghost
+            return fractions.open_share(alpha, self.openness), compliance, ghost
         of_gas = np.minimum(alpha, 1)[whole.cell_nodes].mean(axis=1) < 0.5
         return self.stages.divide_cells(of_gas), compliance, ghost
 
@@ -205,8 +205,8 @@ class Coupled(Flow):
     def filled_cells(self, theta, compliance, ghost):
         """What `Mixture.begin` needs of the cells: filled, ghost and dry, from nodal values. Collective.
 
-        The ghost's pressure is the mean over the particles by the same weights with which `squeeze` hands its
-        change back to them, so that it takes up that change; the mean over the nodes is for cells without any.
+        The ghost's pressure is the mean over the particles by the same weights with which `squeeze` hands
+        its change back to them, so that it takes that up; the mean over the nodes is for cells without any.
         """
         part, s = self.part, self.part.space
         filled, dry = np.zeros((len(part.dofs), 3)), np.empty(len(s.cell_nodes), np.uint8)

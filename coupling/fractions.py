@@ -65,14 +65,16 @@ def add_volumes(size, corners, position, cell, values, cells, points, inverse, n
                     out[cell_nodes[c, i], k] += own * values[p, k] / pieces
 
 
-def open_share(solid):
+def open_share(solid, kind="least"):
     """(n,) share of each dual cell that is open to the gas, from the share that the solid fills.
 
-    What is nearly full is full: particles leave gaps of some per cent, in which no gas belongs.
+    What is nearly full is full: particles leave gaps of some per cent, in which no gas belongs. With
+    `kind` "reflective", what is more than half full is full.
     """
     theta = 1 - solid
     ramp = (theta - CLOSED) * (WHOLE / (WHOLE - CLOSED))
-    return np.clip(np.where(theta < WHOLE, ramp, theta), 0, 1)
+    theta = np.clip(np.where(theta < WHOLE, ramp, theta), 0, 1)
+    return np.where(theta < 0.5, 0.0, theta) if kind == "reflective" else theta
 
 
 def edge_openness(kind, theta, space):
@@ -80,10 +82,10 @@ def edge_openness(kind, theta, space):
 
     "least" is that of the fuller end; "ball" 1 - R with the thesis's ratio R, the cross-section of a ball of
     the solid's volume over the face (in 1D the same as "least"); "reflective" none where an end is more than
-    half full, and else all of it.
+    half full, see `open_share`, and else all of it.
     """
     if kind == "reflective":
-        theta = np.where(theta < 0.5, 0.0, 1.0)
+        theta = np.ceil(theta)
     elif kind == "ball" and space.dim > 1:
         solid, face = (1 - theta) * space.volumes, space.volumes ** (1 - 1 / space.dim)
         disk = 2 * np.sqrt(solid / np.pi) if space.dim == 2 else np.pi * (3 * solid / (4 * np.pi)) ** (2 / 3)

@@ -48,8 +48,7 @@ class SharpSystem(pressure.PressureSystem):
         mass = np.where(stages.of_gas[dofs], gas[nodes], solid[nodes])
         np.add.at(sums, dofs, self.dt * squares * mass)
         diagonal.array[:n] = sums
-        slip = self.dt * (gas + solid) * np.sum(stages.normal**2, axis=1)
-        diagonal.array[n:] = np.where(stages.tied & (slip > 0), slip, 1.0)
+        diagonal.array[n:] = np.where(stages.tied, self.dt * stages.slip, 1.0)
 
 
 class Sharp(Mixture):
@@ -145,6 +144,8 @@ class Sharp(Mixture):
             pressure.divide_by_mass(size, self.inverse, self.special, self.walls, force)
             return force
 
+        self.slip = self.constraints(by_gas(-self.normal), by_solid(self.normal.copy()))[1]
+        self.tied &= self.slip > 1e-9 * self.slip.max(initial=0)  # not where walls hold both phases
         at_nodes = np.where(self.tied, self.mean_pressure(target), 0.0)  # h begins at the pressure around
         on_gas, on_solid = self.forces(target, at_nodes)
         if len(self.open.nodes):
