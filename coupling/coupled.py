@@ -75,12 +75,18 @@ class Coupled(Flow):
         self.adjacency = merging.adjacency(whole.edges, n)
         self.root, self.touched = np.arange(n, dtype=np.int32), np.empty(0, np.int64)
         self.vertices = np.flatnonzero(self.part.nodes < len(self.mesh.points))  # local nodes at vertices
+        self.ends = self.open_nodes()
         self.constrain_solid()
         _, pressure = self.stages.primitive(self.U)
         self.moduli = ghost_moduli(solid, ghost_modulus, self.ranks.max(pressure.max()))
         self.start_ghost(self.part.gather(pressure)[whole.node_of_vertex])
         self.theta = self.shares()[0]
         self.settle(self.theta, self.theta > 0)
+
+    def open_nodes(self):
+        """Nodes of the whole space at inflows and outflows. Collective."""
+        local = np.concatenate([self.stages.open.nodes, self.stages.fixed]).astype(np.int64)
+        return np.unique(self.ranks.concatenate(self.part.nodes[local]))
 
     def constrain_solid(self):
         """Tell the pressure of the walls of the solid."""
@@ -112,7 +118,9 @@ class Coupled(Flow):
         fractions.add_volumes(*sizes, p.position, p.cell, values, *lists, sums)
         alpha, compliance, ghost = (self.ranks.sum(sums) / whole.volumes[:, None]).T
         if self.interface == "mixture":
-            return fractions.open_share(alpha, self.openness), compliance, ghost
+            theta = fractions.open_share(alpha, self.openness)
+            theta[self.ends] = 1  # whatever reaches an open end is about to leave
+            return theta, compliance, ghost
         of_gas = np.minimum(alpha, 1)[whole.cell_nodes].mean(axis=1) < 0.5
         return self.stages.divide_cells(of_gas), compliance, ghost
 
