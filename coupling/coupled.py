@@ -1,5 +1,7 @@
 """Gas and deformable solids on one mesh, coupled both ways (thesis 3.2.2)."""
 
+import warnings
+
 import numpy as np
 
 from fempm import boundaries as moving
@@ -82,6 +84,19 @@ class Coupled(Flow):
         self.start_ghost(self.part.gather(pressure)[whole.node_of_vertex])
         self.theta = self.shares()[0]
         self.settle(self.theta, self.theta > 0)
+        self.warn_of_thin_bodies()
+
+    def warn_of_thin_bodies(self):
+        """Bodies that close no vertex at all let gas through. Collective."""
+        p, nodes = self.solid.particles, self.part.whole.cell_nodes
+        for body, part in zip(self.solid.bodies, p.ranges, strict=True):
+            closed = bool(np.any(self.theta[nodes[p.cell[part]]] == 0))
+            if not self.ranks.max(int(closed)):
+                warnings.warn(
+                    f"body {body.name!r} closes no vertex of the mesh to the gas: it is thinner than about "
+                    "two cells and lets gas through, mesh finer if it is to be tight",
+                    stacklevel=3,
+                )
 
     def open_nodes(self):
         """Nodes of the whole space at inflows and outflows. Collective."""
