@@ -4,14 +4,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks import ablation, coupled, gas
 from benchmarks import comparison as others
-from benchmarks import gas
 from benchmarks.comparison import comparison
 from benchmarks.run_benchmarks import table
 from benchmarks.structured import scene, step
 from benchmarks.throughput import STAGES, throughput
 from benchmarks.vibrating_bar import error_against_time
 from benchmarks.work import peak, work
+
+from coupling import Coupled
 
 
 @pytest.mark.parametrize("dim, h", [(1, 0.05), (2, 0.2), (3, 0.4)])
@@ -81,3 +83,23 @@ def test_gas_still_gas_and_slow_flow():
     assert left_out["vertices"] == computed["vertices"] > 100
     by_velocity, by_sound = gas.slow_vortex(0.12, mach=0.1, turns=0.05)
     assert 3 * by_velocity["steps"] < by_sound["steps"]
+
+
+def test_coupled_benchmarks():
+    """Finer pistons are better with either interface, thick walls tight; the parts of a step add up."""
+    rows = {(r["solver"], r["cells"]): r for r in coupled.pistons((15, 30), ("M = 1",))}
+    for solver in coupled.SOLVERS:
+        assert rows[solver, 30]["error_%"] < rows[solver, 15]["error_%"]
+    row = coupled.cost(0.1, rounds=1, steps=2)[0]
+    assert sum(row[k] for k in list(row)[6:]) == pytest.approx(row["coupled_ms"])
+    assert row["ratio"] > 1
+
+
+def test_ablation_of_the_order():
+    """Forces of the solid before the coupled solve: energy from nowhere (thesis figure 3.4)."""
+    good, bad = (
+        ablation.measure(ablation.ellipse_in_a_blast(kind, 0.05, h=0.04))
+        for kind in (Coupled, ablation.MpmFirst)
+    )
+    assert abs(good["energy"]) < 1e-3
+    assert bad["energy"] > 0.01

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 from benchmarks.comparison import comparison
+from benchmarks.coupled import coupled_benchmarks
 from benchmarks.gas import gas_benchmarks
 from benchmarks.throughput import STAGES, throughput
 from benchmarks.vibrating_bar import error_against_time
@@ -144,7 +145,7 @@ def main(argv=None):
     formatter = argparse.ArgumentDefaultsHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
     parser.add_argument("--output", type=Path, default=Path("results/bench"), help="folder of the files")
-    parser.add_argument("--only", choices=("solids", "gas"), help="one half of the benchmarks")
+    parser.add_argument("--only", choices=("solids", "gas", "coupled"), help="one part of the benchmarks")
     parser.add_argument("--quick", action="store_true", help="smaller scenes: below a minute")
     args = parser.parse_args(argv)
     args.output.mkdir(parents=True, exist_ok=True)
@@ -152,10 +153,11 @@ def main(argv=None):
     (args.output / "machine.txt").write_text(machine() + "\n")
     print(machine())
 
-    if args.only != "gas":
+    if args.only in (None, "solids"):
         solid_benchmarks(args.output, args.quick)
-    if args.only != "solids":
-        gas_benchmarks(args.output, args.quick, table, write_csv)
+    for name, benchmarks in (("gas", gas_benchmarks), ("coupled", coupled_benchmarks)):
+        if args.only in (None, name):
+            benchmarks(args.output, args.quick, table, write_csv)
     print(f"\nwrote {args.output}/ in {time.perf_counter() - begin:.0f} s")
 
 

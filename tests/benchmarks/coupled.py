@@ -1,0 +1,232 @@
+"""Gas and solids: error against run time, leaks of thin walls, what a coupled step costs, two ablations."""
+
+import time
+
+import numpy as np
+from coupled_scenes import centre, lagrangian_piston, piston, piston_path
+from matplotlib.figure import Figure
+
+import fempm
+from coupling import Coupled, Flow, IdealGas, Inflow, Outflow, SlipWall
+from coupling.scenes import burst
+
+from . import ablation
+
+AIR = IdealGas(1.4)
+PISTONS = {
+    "M = 10": (10.0, (2.0, 1.0), 2.0),
+    "M = 1": (1.0, (2.0, 1.0), 2.0),
+    "M = 0.1": (0.1, (10.0, 1.0), 0.5),
+}
+SOLVERS = {
+    "mixture, two stages": {},
+    "mixture, one stage": {"scheme": "euler"},
+    "sharp, two stages": {"interface": "sharp"},
+    "sharp, one stage": {"interface": "sharp", "scheme": "euler"},
+}
+
+
+def pistons(cells, kinds=tuple(PISTONS)):
+    """Rows: case, solver, cells, largest error over the stroke, drift of energy and mass, CPU seconds."""
+    rows = []
+    for kind in kinds:
+        mass, pressures, until = PISTONS[kind]
+        exact = lagrangian_piston(mass, pressures, until, 800)
+        for solver, options in SOLVERS.items():
+            for n in cells:
+                scene = piston(n, mass, pressures, **options)
+                start = scene.summary()
+                scene.stable_step()
+                begin = time.process_time()
+                path = piston_path(scene, until)
+                seconds, end = time.process_time() - begin, scene.summary()
+                error = np.abs(np.interp(path[:, 0], *exact.T) - path[:, 1]).max()
+                rows.append(
+                    {
+                        "case": f"piston, {kind}",
+                        "solver": solver,
+                        "cells": n,
+                        "error_%": 100 * error / np.ptp(exact[:, 1]),
+                        "energy_%": 100 * (end["energy"] / start["energy"] - 1),
+                        "mass": end["mass"] / start["mass"] - 1,
+                        "steps": scene.steps,
+                        "cpu_s": seconds,
+                    }
+                )
+    return rows
+
+
+def cylinder(h, **options):
+    """The cylinder that a shock of Mach 3 lifts (Forrer and Berger 1999), see the demo."""
+    mesh = fempm.box_mesh((0, 0), (1, 0.2), h)
+    x, volume = fempm.fill_box([0.1, 0], [0.2, 0.1], h / 2)
+    disk = np.linalg.norm(x - [0.15, 0.05], axis=1) < 0.05
+    body = fempm.Body(x[disk], volume[disk], fempm.NeoHookean(10.77, 1e4, 0.3), name="cylinder")
+    walls = [fempm.Wall("bottom", "contact"), fempm.Wall("top", "contact")]
+    solid = fempm.Simulation(mesh, [body], walls, outlets=["right"])
+
+    def initial(x):
+        behind = x[:, 0] < 0.08
+        speed = np.where(behind[:, None], [[2.2222, 0.0]], 0.0)
+        return np.where(behind, 5.4, 1.4), speed, np.where(behind, 10.3333, 1.0)
+
+    ends = [Inflow("left", 5.4, 10.3333, velocity=[2.2222, 0.0]), Outflow("right")]
+    return Coupled(solid, AIR, initial, [*ends, SlipWall("bottom"), SlipWall("top")], **options)
+
+
+def cylinders(sizes, until=(0.15, 0.3), solvers=tuple(SOLVERS)):
+    """Rows: solver, mesh size, centre at two times, its distance from that on the finest mesh, CPU seconds."""
+    rows = []
+    for solver in solvers:
+        for h in sizes:
+            scene, places = cylinder(h, **SOLVERS[solver]), []
+            begin = time.process_time()
+            for t in until:
+                while scene.time < t * (1 - 1e-12):
+                    scene.dt = min(scene.stable_step(), t - scene.time)
+                    scene.step(scene.dt)
+                places.append(centre(scene))
+            row = {"case": "cylinder", "solver": solver, "cells": round(0.2 / h)}
+            row |= {f"{a}({t:g})": c for t, x in zip(until, places) for a, c in zip("xy", x)}
+            rows.append(row | {"steps": scene.steps, "cpu_s": time.process_time() - begin})
+    finest = next(r for r in reversed(rows) if r["solver"] == solvers[0])
+    names = [name for name in finest if "(" in name]
+    for row in rows:
+        row["apart"] = float(np.linalg.norm([row[n] - finest[n] for n in names]))
+    return rows
+
+
+def leaks(h=0.02, shifts=(0.0, 0.25, 0.5)):
+    """Rows: thickness of a held wall in cells, and which share of the gas passes while sound crosses half."""
+    rows = []
+    for thickness in (1.0, 1.5, 2.0, 2.5, 3.0):
+        row = {"thickness / h": thickness}
+        for shift in shifts:
+            mesh, middle = fempm.box_mesh((0, 0), (1, 0.2), h), 0.5 + shift * h
+            half = 0.5 * thickness * h
+            x, volume = fempm.fill_box([middle - half, 0], [middle + half, 0.2], h / 3)
+            body = fempm.Body(x, volume, fempm.NeoHookean(1e4, 1e4), name="wall")
+            walls = [fempm.Wall("boundary", "slip")]
+            solid = fempm.Simulation(mesh, [body], walls, condition=lambda x, v, t: 0 * v)
+
+            def initial(x):
+                pressure = np.where(x[:, 0] < 0.5, 2.0, 1.0)
+                return pressure, 0.0, pressure
+
+            scene, masses = Coupled(solid, AIR, initial, [SlipWall("boundary")]), []
+            for until in (0.0, 0.5 / np.sqrt(1.4)):
+                while scene.time < until:
+                    scene.dt = scene.stable_step()
+                    scene.step(scene.dt)
+                mass = scene.theta * scene.part.whole.volumes * scene.U[:, 0]
+                masses.append(mass[mesh.points[:, 0] < middle].sum())
+            row[f"shifted {shift:g}"] = 1 - masses[1] / masses[0]
+        rows.append(row)
+    return rows
+
+
+def shell(h):
+    """Coupled scene of a shell full of hot gas, the gas alone, and the shell alone."""
+    mesh = fempm.box_mesh((0, 0), (1, 1), h)
+    x, volume = fempm.fill_box([0.2, 0.2], [0.8, 0.8], h / 2)
+    r = np.linalg.norm(x - 0.5, axis=1)
+    ring = (r < 0.2) & (r > 0.2 - 3 * h)
+    initial, walls = burst((0.5, 0.5), 0.19, 5.0, 10.0), [SlipWall("boundary")]
+
+    def solid():
+        body = fempm.Body(x[ring], volume[ring], fempm.NeoHookean(10.0, 100.0, 0.3), name="shell")
+        return fempm.Simulation(mesh, [body], [fempm.Wall("boundary", "slip")], transfer="flip")
+
+    return Coupled(solid(), AIR, initial, walls), Flow(mesh, AIR, initial, walls), solid()
+
+
+def cost(h, rounds=8, steps=10):
+    """CPU milliseconds of a coupled step and its parts beside one of the gas and one of the solid alone.
+
+    The three take turns with the same time step; of each the fastest turn counts.
+    """
+    coupled, gas, solid = scenes = shell(h)
+    best, parts = [np.inf] * 3, {}
+    spent = watch(coupled)
+    for k in range(rounds + 1):
+        for i, scene in enumerate(scenes):
+            spent.clear()
+            begin = time.process_time()
+            for _ in range(steps):
+                scene.stable_step()
+                scene.dt = coupled.dt or coupled.stable_step()
+                if scene is coupled:
+                    scene.dt = coupled.stable_step()
+                scene.step(scene.dt)
+            seconds = time.process_time() - begin
+            if k and seconds < best[i]:
+                best[i] = seconds
+                if i == 0:
+                    parts = {name: 1e3 * s / steps for name, s in spent.items()}
+    whole, gas_s, solid_s = (1e3 * b / steps for b in best)
+    row = {"vertices": len(coupled.mesh.points), "particles": len(solid.particles)}
+    row |= {"coupled_ms": whole, "gas_ms": gas_s, "solid_ms": solid_s, "ratio": whole / (gas_s + solid_s)}
+    return [row | parts | {"rest": whole - sum(parts.values())}]
+
+
+def timed(spent, name, call):
+    """The function, adding its CPU time to spent[name]."""
+
+    def wrapped(*args, **options):
+        begin = time.process_time()
+        try:
+            return call(*args, **options)
+        finally:
+            spent[name] = spent.get(name, 0.0) + time.process_time() - begin
+
+    return wrapped
+
+
+def watch(scene):
+    """Make the parts of a coupled step keep their CPU time; returns the dict name -> seconds."""
+    spent = {}
+    solid, stages = scene.solid, scene.stages
+    for name, owner, methods in (
+        ("transfers", solid, ("particle_to_grid", "update_grid", "move")),
+        ("fractions", scene, ("shares", "settle", "regrid", "filled_cells", "begin")),
+        ("advection", stages, ("advection",)),
+        ("solve", stages.system, ("solve",)),
+        ("step length", scene, ("stable_step",)),
+    ):
+        for method in methods:
+            setattr(owner, method, timed(spent, name, getattr(owner, method)))
+    return spent
+
+
+def draw(path, rows, error):
+    """Error over run time, one panel per case, one line per solver; `error` names its column by case."""
+    cases = list(dict.fromkeys(row["case"] for row in rows))
+    figure = Figure(figsize=(3.6 * len(cases), 3.8), layout="constrained")
+    for ax, case in zip(figure.subplots(1, len(cases), squeeze=False)[0], cases):
+        for solver in dict.fromkeys(row["solver"] for row in rows):
+            line = [r for r in rows if (r["case"], r["solver"]) == (case, solver) and r[error[case]] > 0]
+            ax.loglog([r["cpu_s"] for r in line], [r[error[case]] for r in line], "o-", label=solver)
+        ax.set(title=case, xlabel="CPU time in s", ylabel=error[case])
+        ax.grid(alpha=0.3)
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figure.savefig(path, dpi=130)
+
+
+def coupled_benchmarks(folder, quick, table, write_csv):
+    """All of the above: print tables, write CSV files and a picture into a folder."""
+    print("\npiston between two gases: largest error over its stroke against CPU time")
+    rows = pistons((25, 50) if quick else (50, 100, 200), ("M = 1",) if quick else tuple(PISTONS))
+    print(table(rows), flush=True)
+    write_csv(folder / "coupled_piston.csv", rows)
+    print("\ncylinder lifted by a shock: its centre, and how far that is from the finest mesh's")
+    lifted = cylinders((0.04, 0.02) if quick else (0.02, 0.01, 0.005), (0.05, 0.1) if quick else (0.15, 0.3))
+    print(table(lifted), flush=True)
+    write_csv(folder / "coupled_cylinder.csv", lifted)
+    error = {row["case"]: "error_%" for row in rows} | {"cylinder": "apart"}
+    draw(folder / "coupled_error_against_time.png", rows + lifted, error)
+    print("\nshare of the gas that passes a held wall while sound crosses half of the box")
+    print(table(leaks(0.05 if quick else 0.02)), flush=True)
+    print("\na coupled step of the shell explosion, CPU time in ms")
+    print(table([row for h in ((0.04,) if quick else (0.01, 0.005)) for row in cost(h)]), flush=True)
+    print("\nablations (thesis figures 3.4, 3.3): energy gained, jumps of pressure beside the solid")
+    print(table(ablation.table(quick)), flush=True)
