@@ -22,7 +22,7 @@ SCHEMES = ("imex", "euler")
 GAMMA = 1 - 1 / np.sqrt(2)  # of the two-stage scheme
 AROUND = (1.0, 1.0, 1.18, 1.4)  # sum |u . n| / 2 m over |u| / h in regular duals, by dimension
 START_STEPS, START_CFL = 5, 0.25  # first steps, limited by the speed of sound
-SMALLEST = 2.0**-12  # share of a step that is tried when positivity is lost
+SMALLEST, MOST_REPEATS = 2.0**-12, 200  # share of a step that is tried when positivity is lost, and how often
 
 
 class Flow:
@@ -86,6 +86,7 @@ class Flow:
 
     def step(self, dt):
         """Advance by dt, in two halves where that fails."""
+        self.first_repeat = self.repeated
         self.advance(dt, dt)
         self.time += dt
         self.steps += 1
@@ -95,7 +96,7 @@ class Flow:
         try:
             self.U = self.one_step(self.U, dt) if dt == whole else self.safe_step(self.U, dt)
         except (StepFailed, RemoteError) as problem:
-            if dt <= SMALLEST * whole:
+            if dt <= SMALLEST * whole or self.repeated - self.first_repeat > MOST_REPEATS:
                 raise self.failure(problem) from None
             self.repeated += 1
             self.advance(dt / 2, whole)
@@ -127,7 +128,7 @@ class Flow:
         """The error that ends a run."""
         return SimulationError(
             f"the gas could not go on from time {self.time:.6g}, {problem}, even with a step of "
-            f"{SMALLEST:.2g} of the stable one: refine the mesh there or take a smaller cfl"
+            f"{SMALLEST:.2g} of the stable one or after {MOST_REPEATS} repetitions: refine the mesh there or take a smaller cfl"
         )
 
     def stable_step(self):

@@ -23,22 +23,33 @@ from .stages import Stages
 EXTRAPOLATE = 1 + np.sqrt(2)  # (1 - gamma) / gamma of the two-stage scheme
 
 
+@njit(inline="always", **options)
+def gas_share(weight, theta, internal, dry, taken):
+    """Weight of a node in the heat that its cell gives to the gas, or, beside a solid, takes from it."""
+    if dry:
+        return weight
+    return weight * theta * (internal if taken > 0.0 else 1.0)
+
+
 @njit(**options)
-def add_work(shape, nodes, dofs, coefficients, weights, dry, P, expansion, theta, alpha, gas, old, new, out):
+def add_work(
+    shape, nodes, dofs, coefficients, weights, dry, P, expansion, theta, alpha, internal, gas, old, new, out
+):
     """Add to `out` (n,) the energy that the pressure gives to each node's gas; returns what no gas takes.
 
     A node gets the work on its gas, and of the heat -P times the expansion of the gas in a cell a share. The
     expansion is what the flux of both phases leaves when that of the ghost matrix, `expansion` (nc, np), is
     taken off: so the gas loses what the solid, with `old` and `new` velocity, and its ghost gain. `dry` (nc,)
-    marks cells of gas alone.
+    marks cells of gas alone. What an expansion beside a solid takes, a cell's nodes pay according to their
+    energy `internal` (n,) per open volume: between hot gas and a vacuum they have no equal shares to give.
     """
     per_cell, corners, size = shape
     lost = 0.0
     for c in range(len(nodes)):
         for q in range(len(per_cell)):
-            p, total, gassy = P[dofs[c, q]], 0.0, 1.0
+            p, total = P[dofs[c, q]], 0.0
             if not dry[c]:
-                total, gassy = -expansion[c, q], 0.0
+                total = -expansion[c, q]
             for b in range(len(corners)):
                 i = nodes[c, b]
                 own = other = 0.0
@@ -46,17 +57,19 @@ def add_work(shape, nodes, dofs, coefficients, weights, dry, P, expansion, theta
                     own += coefficients[c, q, b, a] * gas[i, a]
                 if not dry[c]:
                     own *= theta[i]
-                    gassy += weights[q, b] * theta[i]
                     for a in range(len(size)):
                         other += 0.5 * alpha[i] * coefficients[c, q, b, a] * (old[i, a] + new[i, a])
                 out[i] += p * own
                 total += own + other
-            if gassy > 0.0:
+            taken, shares = p * total, 0.0
+            for b in range(len(corners)):
+                shares += gas_share(weights[q, b], theta[nodes[c, b]], internal[nodes[c, b]], dry[c], taken)
+            if shares > 0.0:
                 for b in range(len(corners)):
                     i = nodes[c, b]
-                    out[i] -= weights[q, b] * theta[i] / gassy * p * total
+                    out[i] -= gas_share(weights[q, b], theta[i], internal[i], dry[c], taken) / shares * taken
             else:
-                lost -= p * total
+                lost -= taken
     return lost
 
 
@@ -255,7 +268,7 @@ class Mixture(Stages):
         gas[self.closed] = new[self.closed]
         self.P, self.now, self.stiffness = target + increment, new, stiffness
 
-        work = self.work(solid, new, gas, ghost, dt)
+        work = self.work(solid, new, gas, ghost, before.internal, dt)
         if len(self.open.nodes):
             work[self.open.nodes] -= self.open.power(gas) * self.theta[self.open.nodes]
         out = self.after_pressure(U, dt, before, gas, self.per_open_volume(work))
@@ -300,13 +313,13 @@ class Mixture(Stages):
 
         return fused, divide
 
-    def work(self, old, new, gas, ghost, dt):
+    def work(self, old, new, gas, ghost, internal, dt):
         """(n,) power of the pressure on the gas of each node, `lost` counting the rest. Collective."""
         part, s, out = self.part, self.part.space, np.zeros(len(self.theta))
         expansion = self.compliance * (ghost - self.P) / dt / s.pressure_volumes
         per_cell = s.cell_pressures.shape[1]
         expansion = expansion[s.cell_pressures] * (s.cell_volumes / per_cell)[:, None]
         lists = s.cell_nodes, s.cell_pressures, s.coefficients, s.weights, self.dry
-        shares = self.theta, self.moved, gas, old, new
+        shares = self.theta, self.moved, internal, gas, old, new
         self.lost += dt * add_work(part.shape, *lists, self.P, expansion, *shares, out)
         return part.sum_nodes(out)

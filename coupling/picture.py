@@ -135,8 +135,8 @@ def _strip(path, mesh, frames, plane, box, cmap, limits, label, particles):
         image.set_clim(*limits)
         if particles is not None:
             x = particles[k][:, axes]
-            size = np.clip(2e3 * scale / len(x) ** 0.5, 0.3, 3.0)
-            ax.scatter(*x.T, s=size, c=_PLAIN, linewidths=0)
+            size = np.clip(2e3 * scale / max(len(x), 1) ** 0.5, 0.3, 3.0)
+            ax.scatter(*x.T, s=size, color=_PLAIN, linewidths=0)
         ax.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         ax.set(xlabel=f"{'xyz'[axes[0]]} in m", ylabel=f"{'xyz'[axes[1]]} in m")
         ax.set_title(f"t = {t:.4g} s", fontsize=10)

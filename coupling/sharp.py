@@ -185,7 +185,7 @@ class Sharp(Mixture):
         lists = s.cell_nodes, s.cell_pressures, s.coefficients, s.weights
         pressures, nothing = np.where(self.of_gas, self.P, 0.0), np.zeros((len(self.P), 1))
         dry = np.ones(len(self.P), np.uint8)
-        add_work(part.shape, *lists, dry, pressures, nothing, ones, 0 * ones, gas, gas, gas, out)
+        add_work(part.shape, *lists, dry, pressures, nothing, ones, 0 * ones, ones, gas, gas, gas, out)
         return out - self.h * np.sum(self.normal * solid, axis=1)
 
     def kicked(self, velocity):
