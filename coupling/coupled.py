@@ -310,8 +310,8 @@ class Coupled(Flow):
         """Those of the gas at the mesh's vertices, and "solid", the share that is filled. Collective."""
         fields = super().vertex_fields()
         fields["solid"] = 1 - self.theta[self.part.whole.node_of_vertex]
-        for name in ("mach", "schlieren"):
-            fields[name] = np.where(fields["solid"] < 1, fields[name], 0.0)
+        fields["mach"] = np.where(fields["solid"] < 1, fields["mach"], 0.0)
+        fields["schlieren"] = np.where(fields["solid"] > 0, 0.0, fields["schlieren"])  # no gradient of gas
         return fields
 
     def summary(self):

@@ -128,7 +128,8 @@ class Flow:
         """The error that ends a run."""
         return SimulationError(
             f"the gas could not go on from time {self.time:.6g}, {problem}, even with a step of "
-            f"{SMALLEST:.2g} of the stable one or after {MOST_REPEATS} repetitions: refine the mesh there or take a smaller cfl"
+            f"{SMALLEST:.2g} of the stable one or after {MOST_REPEATS} repetitions: refine the mesh there or "
+            "take a smaller cfl"
         )
 
     def stable_step(self):

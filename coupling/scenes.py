@@ -54,7 +54,7 @@ def centres(scene):
     return out
 
 
-def play(scene, args, moments=4, plane=None, **options):
+def play(scene, args, moments=4, plane=None, contrast=8.0, **options):
     """Run a coupled scene with the options of its command line, draw it, and print what was conserved.
 
     Parameters
@@ -63,6 +63,7 @@ def play(scene, args, moments=4, plane=None, **options):
     args : of `fempm.cli.scene_arguments`
     moments : panels of the picture, schlieren with particles
     plane : (axis, coordinate) of the slice drawn in 3D; particles within a cell's width of it are drawn
+    contrast : of the schlieren, see `schlieren_strip`
     options : further ones of `fempm.run`
 
     Returns
@@ -79,7 +80,8 @@ def play(scene, args, moments=4, plane=None, **options):
     if plane is not None:
         width = np.median(scene.width)
         positions = [x[abs(x[:, plane[0]] - plane[1]) < width] for x in positions]
-    path = schlieren_strip(f"{args.output}.png", scene.mesh, fields, plane=plane, particles=positions)
+    drawn = {"contrast": contrast, "plane": plane, "particles": positions}
+    path = schlieren_strip(f"{args.output}.png", scene.mesh, fields, **drawn)
     log, mesh = record.log, scene.mesh
     print(f"{len(mesh.points)} vertices, {scene.solid.num_particles} particles, {scene.steps} steps,")
     print(
