@@ -71,7 +71,8 @@ class Coupled(Flow):
             )
         self.interface, self.stages_kind = interface, INTERFACES[interface]
         super().__init__(solid.mesh, eos, initial, boundaries, **options)
-        self.solid, self.openness, self.unclaimed, self.solid_rate = solid, openness, 0.0, 0.0
+        self.solid, self.openness, self.buffers = solid, openness, {}
+        self.unclaimed, self.solid_rate = 0.0, 0.0
         whole = self.part.whole
         n = len(whole.points)
         self.adjacency = merging.adjacency(whole.edges, n)
@@ -127,17 +128,28 @@ class Coupled(Flow):
         volume = self.volume = p.volume * p.jacobian
         compliance = volume / (modulus * np.maximum(ratio, 0.1))
         values = np.stack([volume, compliance, compliance * modulus * (1 - ratio)], axis=1)
-        sums = np.zeros((len(whole.points), 3))
+        sums = self.buffer("shares", (len(whole.points), 3))
         lists = mesh.cells, mesh.points, mesh.inverse, mesh.neighbours, whole.cell_nodes
         sizes = self.part.size, (1,) * whole.cell_nodes.shape[1]
         fractions.add_volumes(*sizes, p.position, p.cell, values, *lists, sums)
-        alpha, compliance, ghost = (self.ranks.sum(sums) / whole.volumes[:, None]).T
+        sums = self.ranks.sum(sums)
+        some = np.flatnonzero(sums[:, 0])
+        sums[some] /= whole.volumes[some, None]
+        alpha, compliance, ghost = sums.T
         if self.interface == "mixture":
-            theta = fractions.open_share(alpha, self.openness)
+            theta = np.ones(len(sums))
+            theta[some] = fractions.open_share(alpha[some], self.openness)
             theta[self.ends] = 1  # whatever reaches an open end is about to leave
             return theta, compliance, ghost
         of_gas = np.minimum(alpha, 1)[whole.cell_nodes].mean(axis=1) < 0.5
         return self.stages.divide_cells(of_gas), compliance, ghost
+
+    def buffer(self, name, shape):
+        """An array of zeros that is used again in every step."""
+        if name not in self.buffers:
+            self.buffers[name] = np.zeros(shape)
+        self.buffers[name].fill(0)
+        return self.buffers[name]
 
     def settle(self, theta, held):
         """Close and open nodes, and find where small ones share their state: changes theta. Collective."""
@@ -149,8 +161,11 @@ class Coupled(Flow):
         """U (n, d + 2) of this rank for open shares `new` of all nodes that were `old`. Collective."""
         part, volumes = self.part, self.part.whole.volumes
         out = U.copy()
-        changed = np.flatnonzero((old[part.nodes] != new[part.nodes]) & (new[part.nodes] > 0))
-        out[changed] *= (old / np.where(new > 0, new, 1))[part.nodes[changed], None]
+        at = np.searchsorted(part.nodes, self.touched)
+        at[at == len(part.nodes)] = 0
+        open_here = (part.nodes[at] == self.touched) & (new[self.touched] > 0)
+        at, nodes = at[open_here], self.touched[open_here]
+        out[at] *= (old[nodes] / new[nodes])[:, None]
         small = self.touched[(self.root[self.touched] != self.touched) & (self.root[self.touched] >= 0)]
         if len(small):
             members = np.union1d(small, self.root[small])
@@ -190,7 +205,7 @@ class Coupled(Flow):
         """Mass (nv,) and velocity (nv, d) of the solid at the vertices, on all ranks. Collective."""
         s, nv, d = self.solid, len(self.mesh.points), self.mesh.dim
         moving.fold(s, moving.wall_motion(s, dt)[0][0])
-        sums, at = np.zeros((nv, 1 + d)), self.solid_vertices()
+        sums, at = self.buffer("at vertices", (nv, 1 + d)), self.solid_vertices()
         sums[at] = s.grids[0, at, : 1 + d]
         sums = self.ranks.sum(sums)
         s.borders.add_shared(s.grids[0], s.stamp, s.steps)
@@ -210,7 +225,7 @@ class Coupled(Flow):
         part, s = self.part, self.part.space
         theta, local = theta[part.nodes], part.nodes[self.vertices]
         closed = theta == 0
-        sums = np.zeros((len(theta), 1 + U.shape[1]))
+        sums = self.buffer("beside", (len(theta), 1 + U.shape[1]))
         if self.ranks.max(int(closed.any())):
             merging.add_open_neighbours(s.edges, closed, U, sums)
             part.sum_nodes(sums)
@@ -232,36 +247,34 @@ class Coupled(Flow):
         its change back to them, so that it takes that up; the mean over the nodes is for cells without any.
         """
         part, s = self.part, self.part.space
-        filled, dry = np.zeros((len(part.dofs), 3)), np.empty(len(s.cell_nodes), np.uint8)
+        filled = self.buffer("filled", (len(part.dofs), 3))
+        dry = np.empty(len(s.cell_nodes), np.uint8)
         lists = s.cell_nodes, s.cell_pressures, s.weights, s.cell_volumes
-        at = part.nodes
-        add_filled(part.shape, *lists, theta[at], compliance[at], ghost[at], dry, filled)
+        nodal = (theta, compliance, ghost)
+        if self.ranks.size > 1:
+            nodal = (values[part.nodes] for values in nodal)
+        add_filled(part.shape, *lists, *nodal, dry, filled)
         part.sum_dofs(filled)
-        dofs, weight, pressure = self.particle_pressures()
-        own = np.zeros((len(part.whole.pressure_volumes), 2))
-        for k, value in enumerate((weight, weight * pressure)):
-            own[:, k] = np.bincount(dofs.ravel(), value.ravel(), len(own))
-        sums = self.ranks.sum(own)[part.dofs]
-        few = np.flatnonzero((sums[:, 0] == 0) & (filled[:, 1] > 0))
-        sums[few] = filled[few, 1:]
-        solid = np.flatnonzero(sums[:, 0])
-        mean = np.zeros(len(sums))
-        mean[solid] = sums[solid, 1] / sums[solid, 0]
+        own = self.buffer("own", (len(part.whole.pressure_volumes), 2))
+        merging.add_weighted(*self.particle_pressures(), own)
+        sums = self.ranks.sum(own)[part.dofs] if self.ranks.size > 1 else own
+        mean = np.empty(len(filled))
+        merging.divide(sums, filled, mean)
         return filled, mean, dry
 
     def particle_pressures(self):
-        """Dofs (np, k) of the cells of the particles, the particles' weights there, and p_g (np, 1)."""
+        """Dofs (np, k) of the cells of the particles, the particles' weights there, and p_g (np,)."""
         p, whole = self.solid.particles, self.part.whole
         modulus, ratio = self.modulus_of_particles(), p.state[GHOST]
         dofs = whole.cell_pressures[p.cell]
         share = barycentric(self.mesh, p) if dofs.shape[1] > 1 else np.ones((len(p), 1))
-        return dofs, share * (self.volume / modulus)[:, None], (modulus * (1 - ratio))[:, None]
+        return dofs, share * (self.volume / modulus)[:, None], modulus * (1 - ratio)
 
     def push_solid(self, mass, dt):
         """Add the force of the pressure to that of the stress at the vertices. Collective."""
         s, stages = self.solid, self.stages
-        change = (stages.now - stages.start) / dt
-        here = np.flatnonzero(stages.inverse)
+        change, here = self.buffer("change", stages.now.shape), np.flatnonzero(stages.inverse)
+        change[here] = (stages.now[here] - stages.start[here]) / dt
         speed, size = (np.linalg.norm(x[here], axis=1) for x in (stages.now, change))
         width = self.width[here]
         self.solid_rate = np.max(0.5 * (speed + np.sqrt(speed**2 + 4 * size * width)) / width, initial=0)

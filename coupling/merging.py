@@ -92,3 +92,23 @@ def share_states(root, volumes, totals):
     volume = np.bincount(group, volumes)
     sums = np.stack([np.bincount(group, column) for column in totals.T], axis=1)
     return sums[group] * (volumes / volume[group])[:, None]
+
+
+@njit(cache=True)
+def add_weighted(dofs, weights, values, out):
+    """Add to `out` (nq, 2) particles' weights (np, k) at some dofs (np, k), and those times values (np,)."""
+    for p in range(len(dofs)):
+        for k in range(dofs.shape[1]):
+            out[dofs[p, k], 0] += weights[p, k]
+            out[dofs[p, k], 1] += weights[p, k] * values[p]
+
+
+@njit(cache=True)
+def divide(sums, others, out):
+    """Fill `out` (nq,) with means: of sums (nq, 2), or of columns 1, 2 of others, where there is weight."""
+    for q in range(len(out)):
+        out[q] = 0.0
+        if sums[q, 0] > 0.0:
+            out[q] = sums[q, 1] / sums[q, 0]
+        elif others[q, 1] > 0.0:
+            out[q] = others[q, 2] / others[q, 1]

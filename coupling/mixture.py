@@ -33,14 +33,29 @@ def gas_share(weight, theta, internal, dry, taken):
 
 @njit(**options)
 def add_work(
-    shape, nodes, dofs, coefficients, weights, dry, P, expansion, theta, alpha, internal, gas, old, new, out
+    shape,
+    nodes,
+    dofs,
+    coefficients,
+    weights,
+    volumes,
+    dry,
+    P,
+    growth,
+    theta,
+    alpha,
+    internal,
+    gas,
+    old,
+    new,
+    out,
 ):
     """Add to `out` (n,) the energy that the pressure gives to each node's gas; returns what no gas takes.
 
     A node gets the work on its gas, and of the heat -P times the expansion of the gas in a cell a share. The
-    expansion is what the flux of both phases leaves when that of the ghost matrix, `expansion` (nc, np), is
-    taken off: so the gas loses what the solid, with `old` and `new` velocity, and its ghost gain. `dry` (nc,)
-    marks cells of gas alone. What an expansion beside a solid takes, a cell's nodes pay according to their
+    expansion is what the flux of both phases leaves when that of the ghost matrix, `growth` (nq,) per volume,
+    is taken off: so the gas loses what the solid, with `old` and `new` velocity, and its ghost gain. `dry`
+    (nc,) marks cells of gas alone. What an expansion beside a solid takes, the nodes pay according to their
     energy `internal` (n,) per open volume: between hot gas and a vacuum they have no equal shares to give.
     """
     per_cell, corners, size = shape
@@ -49,7 +64,7 @@ def add_work(
         for q in range(len(per_cell)):
             p, total = P[dofs[c, q]], 0.0
             if not dry[c]:
-                total = -expansion[c, q]
+                total = -growth[dofs[c, q]] * volumes[c] / len(per_cell)
             for b in range(len(corners)):
                 i = nodes[c, b]
                 own = other = 0.0
@@ -316,10 +331,8 @@ class Mixture(Stages):
     def work(self, old, new, gas, ghost, internal, dt):
         """(n,) power of the pressure on the gas of each node, `lost` counting the rest. Collective."""
         part, s, out = self.part, self.part.space, np.zeros(len(self.theta))
-        expansion = self.compliance * (ghost - self.P) / dt / s.pressure_volumes
-        per_cell = s.cell_pressures.shape[1]
-        expansion = expansion[s.cell_pressures] * (s.cell_volumes / per_cell)[:, None]
-        lists = s.cell_nodes, s.cell_pressures, s.coefficients, s.weights, self.dry
+        growth = self.compliance * (ghost - self.P) / (dt * s.pressure_volumes)
+        lists = s.cell_nodes, s.cell_pressures, s.coefficients, s.weights, s.cell_volumes, self.dry
         shares = self.theta, self.moved, internal, gas, old, new
-        self.lost += dt * add_work(part.shape, *lists, self.P, expansion, *shares, out)
+        self.lost += dt * add_work(part.shape, *lists, self.P, growth, *shares, out)
         return part.sum_nodes(out)

@@ -182,8 +182,8 @@ class Sharp(Mixture):
         """(n,) power of pressures and multipliers on the gas of each node."""
         part, s = self.part, self.part.space
         out, ones = np.zeros(len(self.theta)), np.ones(len(self.theta))
-        lists = s.cell_nodes, s.cell_pressures, s.coefficients, s.weights
-        pressures, nothing = np.where(self.of_gas, self.P, 0.0), np.zeros((len(self.P), 1))
+        lists = s.cell_nodes, s.cell_pressures, s.coefficients, s.weights, s.cell_volumes
+        pressures, nothing = np.where(self.of_gas, self.P, 0.0), np.zeros(len(self.P))
         dry = np.ones(len(self.P), np.uint8)
         add_work(part.shape, *lists, dry, pressures, nothing, ones, 0 * ones, ones, gas, gas, gas, out)
         return out - self.h * np.sum(self.normal * solid, axis=1)
