@@ -154,7 +154,7 @@ class Coupled(Flow):
     def settle(self, theta, held):
         """Close and open nodes, and find where small ones share their state: changes theta. Collective."""
         self.root[self.touched] = self.touched
-        self.touched = np.flatnonzero((theta < 1) | ~held)
+        self.touched = np.flatnonzero((theta < 1) | (self.theta < 1))
         merging.settle(self.touched, held, theta, *self.adjacency, self.root)
 
     def regrid(self, U, old, new):

@@ -75,7 +75,7 @@ def cylinder(h, **options):
 
 
 def cylinders(sizes, until=(0.15, 0.3), solvers=tuple(SOLVERS)):
-    """Rows: solver, mesh size, centre at two times, its distance from that on the finest mesh, CPU seconds."""
+    """Rows: solver, mesh size, centre at two times, its distance from the finest mesh's, CPU seconds."""
     rows = []
     for solver in solvers:
         for h in sizes:
