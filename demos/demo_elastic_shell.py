@@ -30,10 +30,10 @@ def main(argv=None):
     options = {"h": (0.01, "mesh size in m"), "full": (False, "h = 1/1024 as in the thesis")}
     options |= {"pressure": (100.0, "in the shell, that of the air is 1"), "density": (10.0, "likewise")}
     options |= {"young": (100.0, "Young's modulus of the shell in Pa")}
-    args = scene_arguments(__doc__, argv, until=0.22, threads=False, **options)
+    args = scene_arguments(__doc__, argv, until=0.3, threads=False, **options)
     h = 1 / 1024 if args.full else args.h
     mesh = fempm.box_mesh([0, 0], [1, 1], h)
-    x, volume = fempm.fill_box([0.3, 0.3], [0.7, 0.7], 0.7 * h)  # far apart, so that the shell tears early
+    x, volume = fempm.fill_box([0.3, 0.3], [0.7, 0.7], h / 2)
     inside = abs(np.linalg.norm(x - CENTRE, axis=1) - RADIUS) < THICK / 2
     rubber = fempm.NeoHookean(density=50.0, young=args.young, poisson=0.3)
     shell = fempm.Body(x[inside], volume[inside], rubber, name="shell")

@@ -35,7 +35,7 @@ def main(argv=None):
     solid = fempm.Simulation(mesh, bodies, walls, transfer="flip", outlets=["right"])
     wind = Inflow("left", density, pressure, velocity=[speed, 0, 0])
     ends = [wind, Outflow("right"), *(SlipWall(wall.boundary) for wall in walls)]
-    scene = Coupled(solid, IdealGas(1.4), planar_shock(args.mach, 0.1), ends, openness="reflective")
+    scene = Coupled(solid, IdealGas(1.4), planar_shock(args.mach, 0.1), ends)
     record, pictures = play(scene, args, plane=(2, 0.1))
     number, x, strain = (scene.gather(name) for name in ("id", "position", "state/plastic_strain"))
     start = np.concatenate([body.position for body in bodies])[number]
