@@ -1,7 +1,7 @@
 """A charge in the ground goes off under the rear axle of a truck (thesis 3.8).
 
-Gas under a pressure of 4000 Pa throws the rear up by a third of the truck's length and bends the chassis
-for good, while the cab stays near the ground; the wheels, soft and elastic, are torn off and fly ahead."""
+The rear and its wheels, soft and elastic, are thrown up by 0.4 of the truck's length, the front follows
+slowly. The chassis yields: it stays bent, with plastic strains of a third above the charge."""
 
 import numpy as np
 
@@ -42,17 +42,14 @@ def main(argv=None):
     charge = burst([REAR, 0, 0.3], BALL, 20.0, args.charge)
     scene = Coupled(solid, IdealGas(1.4), charge, [SlipWall("bottom"), *map(Outflow, OPEN)])
     record, pictures = play(scene, args, plane=(2, 0.18))
-    log, first = record.log, np.concatenate([body.position for body in bodies])
+    first = np.concatenate([body.position for body in bodies])
     number, now, strain = (scene.gather(name) for name in ("id", "position", "state/plastic_strain"))
-    move, first = now - first[number], first[number]
-    truck_is = number < len(bodies[0].position)
-    parts = {"truck": truck_is, "its rear end": truck_is & (first[:, 0] < REAR)}
-    parts |= {"its front end": truck_is & (first[:, 0] > FRONT)}
-    for axle, name in ((REAR, "rear"), (FRONT, "front")):
-        parts[f"{name} wheels"] = ~truck_is & (abs(first[:, 0] - axle) < 0.1)
+    truck_is, move, x = number < len(bodies[0].position), now - first[number], first[number, 0]
+    parts = {"truck": truck_is, "rear end": truck_is & (x < REAR), "front end": truck_is & (x > FRONT)}
+    parts |= {"rear wheels": ~truck_is & (x < 0.5), "front wheels": ~truck_is & (x > 0.5)}
     moved = {name: move[mine].mean(axis=0) for name, mine in parts.items()}
-    for name, m in moved.items():
-        print(f"{name}: moved by {np.round(m, 3)} m, height {m[1]:.3f} m")
+    for name, by in moved.items():
+        print(f"{name}: moved by {np.round(by, 3)} m")
     print(f"plastic strain of the truck: at most {strain.max():.2f}, mean {strain[truck_is].mean():.3f}")
     finish(record, pictures)
     return {"moved": moved, "plastic_strain": strain.max(), "record": record}
