@@ -73,7 +73,7 @@ def test_lifting_cylinder(tmp_path):
 
 
 def test_elastic_shell(tmp_path):
-    """A closed box, and two axes of symmetry of the shell: the pieces balance to a part of their momentum."""
+    """A closed box; by symmetry the centre stays, to what the diagonals of the mesh make of four cells."""
     result, log = play("elastic_shell", tmp_path, "--h", "0.02", "--until", "0.06")
     check_closed(log, 0.03)
     assert log["elastic"][-1] > 0.1 and log["kinetic"][-1] > 0.1 and log["fastest"].max() > 1
@@ -84,11 +84,11 @@ def test_elastic_shell(tmp_path):
 
 @pytest.mark.parametrize("kind", ["light", "silenced"])
 def test_bullet(tmp_path, kind):
-    """Forward, on the axis, no faster than all the work of the charge would make it; until the shock comes out
-    of the barrel it is a closed box."""
+    """Forward, on the axis, no faster than the work of the whole charge makes it (2.4 m/s at its mass on this
+    mesh); nothing comes to the open ends before 0.2 s but the round-off of gas at rest."""
     result, log = play("bullet", tmp_path, "--h", "0.05", "--until", "0.2", "--bullet", kind)
     assert moved(log, "bullet_x") > 0.08 and abs(log["bullet_y"]).max() < 1e-3
-    assert np.all(np.diff(result["speed"]) > 0) and 0.6 < result["speed"][-1] < 5
+    assert np.all(np.diff(result["speed"]) > 0) and 0.6 < result["speed"][-1] < 2.4
     assert np.ptp(log["mass"]) < 1e-9 * log["mass"][0]
     assert -0.03 < moved(log, "energy") / log["energy"][0] < 1e-3
 
@@ -126,7 +126,7 @@ def test_blast_bodies(tmp_path):
     options = "--h", "0.1", "--pressure", "400", "--until", "0.05"
     _, log = play("blast_bodies", tmp_path, *options)
     light, heavy, iron = -moved(log, "light_x"), moved(log, "heavy_z"), moved(log, "iron_x")
-    assert light > 0.01 and light > 2 * heavy > 0 and light > 2 * iron > 0
+    assert light > 2e-3 and light > 1.5 * heavy > 0 and light > 1.5 * iron > 0
 
 
 def test_aeroplane(tmp_path):
@@ -141,7 +141,7 @@ def test_posts(tmp_path):
     """The shock has passed the first plant, which bends downstream most, and no root has moved."""
     result, log = play("posts", tmp_path, "--h", "0.06", "--until", "0.08")
     first, last = moved(log, "plant_0.25_x"), moved(log, "plant_0.5_x")
-    assert first > 2e-3 and first > 1.5 * last
+    assert first > 1e-3 and first > 1.5 * last > 0
     start, end = (result["record"].frames[k][1] for k in (0, -1))
     root = start[:, 1] < 0.02
     assert root.any() and abs(end - start)[root].max() < 0.3 * abs(end - start).max()
