@@ -102,7 +102,7 @@ def test_body_leaves_through_an_outlet():
     assert solid.escaped_mass == pytest.approx(mass, rel=1e-12)
 
 
-def test_particles_must_not_leave_elsewhere():
+def test_particles_must_not_leave_elsewhere(tmp_path):
     """Only named boundaries are outlets."""
     mesh = fempm.box_mesh((0, 0), (1, 1), 0.1)
     x, volume = fempm.fill_box([0.7, 0.4], [0.9, 0.6], 0.05)
@@ -113,7 +113,7 @@ def test_particles_must_not_leave_elsewhere():
         fempm.Simulation(mesh, [body], outlets="right")
     solid = fempm.Simulation(mesh, [body], outlets=["left"])
     with pytest.raises(fempm.LostParticles):
-        fempm.run(solid, until=0.5, progress=False)
+        fempm.run(solid, until=0.5, output=tmp_path / "lost", progress=False)
 
 
 @pytest.mark.parametrize("pair", ["B1-B0", "B2-B1"])
