@@ -25,10 +25,9 @@ EXTRAPOLATE = 1 + np.sqrt(2)  # (1 - gamma) / gamma of the two-stage scheme
 
 @njit(inline="always", **options)
 def gas_share(weight, theta, internal, dry, taken):
-    """Weight of a node in the heat that its cell gives to the gas, or, beside a solid, takes from it."""
-    if dry:
-        return weight
-    return weight * theta * (internal if taken > 0.0 else 1.0)
+    """Weight of a node in the heat that its cell gives to the gas or takes from it."""
+    weight *= internal if taken > 0.0 else 1.0
+    return weight if dry else weight * theta
 
 
 @njit(**options)
@@ -55,8 +54,8 @@ def add_work(
     A node gets the work on its gas, and of the heat -P times the expansion of the gas in a cell a share. The
     expansion is what the flux of both phases leaves when that of the ghost matrix, `growth` (nq,) per volume,
     is taken off: so the gas loses what the solid, with `old` and `new` velocity, and its ghost gain. `dry`
-    (nc,) marks cells of gas alone. What an expansion beside a solid takes, the nodes pay according to their
-    energy `internal` (n,) per open volume: between hot gas and a vacuum they have no equal shares to give.
+    (nc,) marks cells of gas alone. What an expansion takes, the nodes pay according to their energy
+    `internal` (n,) per open volume: between hot gas and a vacuum they have no equal shares to give.
     """
     per_cell, corners, size = shape
     lost = 0.0
