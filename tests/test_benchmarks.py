@@ -103,3 +103,10 @@ def test_ablation_of_the_order():
     )
     assert abs(good["energy"]) < 1e-3
     assert bad["energy"] > 0.01
+
+
+def test_ablation_of_the_gradient():
+    """A local gradient moves a shell in still air: its elastic energy grows (thesis figure 3.3)."""
+    kinds = ablation.SharpInterface, ablation.LocalGradient
+    good, bad = (ablation.measure(ablation.shell_in_still_air(kind, 0.5)) for kind in kinds)
+    assert bad["elastic"] > 10 * good["elastic"] > 0
