@@ -164,7 +164,7 @@ class Sharp(Mixture):
         gas[self.closed] = new[self.closed]
         self.P, self.now, self.stiffness = target + increment, new, stiffness
 
-        work = self.gas_work(gas, 0.5 * (solid + new))
+        work = self.gas_work(gas, 0.5 * (solid + new), before.internal)
         if len(self.open.nodes):
             work[self.open.nodes] -= self.open.power(gas)
         out = self.after_pressure(U, dt, before, gas, self.per_open_volume(work))
@@ -178,14 +178,14 @@ class Sharp(Mixture):
         total = np.bincount(s.cell_nodes.ravel(), weights * np.repeat(values, s.dim + 1), len(s.points))
         return total / (s.volumes * (s.dim + 1))
 
-    def gas_work(self, gas, solid):
+    def gas_work(self, gas, solid, internal):
         """(n,) power of pressures and multipliers on the gas of each node."""
         part, s = self.part, self.part.space
         out, ones = np.zeros(len(self.theta)), np.ones(len(self.theta))
         lists = s.cell_nodes, s.cell_pressures, s.coefficients, s.weights, s.cell_volumes
         pressures, nothing = np.where(self.of_gas, self.P, 0.0), np.zeros(len(self.P))
         dry = np.ones(len(self.P), np.uint8)
-        add_work(part.shape, *lists, dry, pressures, nothing, ones, 0 * ones, ones, gas, gas, gas, out)
+        add_work(part.shape, *lists, dry, pressures, nothing, ones, 0 * ones, internal, gas, gas, gas, out)
         return out - self.h * np.sum(self.normal * solid, axis=1)
 
     def kicked(self, velocity):
