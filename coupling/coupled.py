@@ -114,7 +114,7 @@ class Coupled(Flow):
         """J_g = 1 - p / lambda_g: bodies at rest in gas at rest are in equilibrium."""
         p, mesh = self.solid.particles, self.mesh
         p.add_state(GHOST, ())
-        around = np.sum(barycentric(mesh, p) * pressure[mesh.cells[p.cell]], axis=1)
+        around = np.sum(mesh.barycentric(p.position, p.cell) * pressure[mesh.cells[p.cell]], axis=1)
         p.state[GHOST][:] = 1 - around / self.modulus_of_particles()
 
     def modulus_of_particles(self):
@@ -203,17 +203,11 @@ class Coupled(Flow):
 
     def solid_at_vertices(self, dt):
         """Mass (nv,) and velocity (nv, d) of the solid at the vertices, on all ranks. Collective."""
-        s, nv, d = self.solid, len(self.mesh.points), self.mesh.dim
+        s = self.solid
         moving.fold(s, moving.wall_motion(s, dt)[0][0])
-        sums, at = self.buffer("at vertices", (nv, 1 + d)), self.solid_vertices()
-        sums[at] = s.grids[0, at, : 1 + d]
-        sums = self.ranks.sum(sums)
+        mass, velocity = diagnostics.at_vertices(s)
         s.borders.add_shared(s.grids[0], s.stamp, s.steps)
-        heavy = np.flatnonzero(sums[:, 0] > s.smallest_mass)
-        mass, velocity = np.zeros(nv), np.zeros((nv, d))
-        mass[heavy] = sums[heavy, 0]
-        velocity[heavy] = sums[heavy, 1:] / sums[heavy, :1]
-        return mass, velocity
+        return np.where(mass > s.smallest_mass, mass, 0.0), velocity
 
     def solid_vertices(self):
         """Vertices of the mesh that this rank's particles reach."""
@@ -267,7 +261,8 @@ class Coupled(Flow):
         p, whole = self.solid.particles, self.part.whole
         modulus, ratio = self.modulus_of_particles(), p.state[GHOST]
         dofs = whole.cell_pressures[p.cell]
-        share = barycentric(self.mesh, p) if dofs.shape[1] > 1 else np.ones((len(p), 1))
+        linear = dofs.shape[1] > 1
+        share = self.mesh.barycentric(p.position, p.cell) if linear else np.ones((len(p), 1))
         return dofs, share * (self.volume / modulus)[:, None], modulus * (1 - ratio)
 
     def push_solid(self, mass, dt):
@@ -302,7 +297,7 @@ class Coupled(Flow):
         change = self.part.gather_dofs(np.where(stages.compliance > 0, stages.ghost - pressure, 0.0))
         change = change[whole.cell_pressures[p.cell]]
         if change.shape[1] > 1:
-            change = change * barycentric(self.mesh, p)
+            change = change * self.mesh.barycentric(p.position, p.cell)
         p.state[GHOST] += change.sum(axis=1) / self.modulus_of_particles()
 
     def stable_step(self):
@@ -373,13 +368,6 @@ class Coupled(Flow):
         """What a checkpoint and the scene that goes on from it must have in common."""
         both = super().fingerprint() | checkpoint.fingerprint(self.solid)
         return both | {"coupling": f"{self.interface}, {self.openness}, ghost moduli {self.moduli.tolist()}"}
-
-
-def barycentric(mesh, particles):
-    """(np, d + 1) barycentric coordinates of particles in their cells."""
-    p = particles
-    first = np.einsum("pij,pj->pi", mesh.inverse[p.cell], p.position - mesh.points[mesh.cells[p.cell, 0]])
-    return np.concatenate([1 - first.sum(axis=1, keepdims=True), first], axis=1)
 
 
 def ghost_moduli(solid, given, pressure):

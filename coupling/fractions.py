@@ -8,10 +8,8 @@ fills neither more nor less than its volume, and an interface is spread over no 
 import numpy as np
 from numba import njit
 
-CLOSED, WHOLE = (
-    0.15,
-    0.4,
-)  # open shares below which a vertex is closed, and from which on they are as computed
+CLOSED = 0.15  # open share below which a vertex is closed
+WHOLE = 0.4  # and from which on it is as computed
 OPENNESS = ("least", "ball", "reflective")
 
 options = {"cache": True, "nogil": True, "error_model": "numpy"}

@@ -158,8 +158,7 @@ class Mixture(Stages):
     def __init__(self, *args):
         super().__init__(*args)
         part, s = self.part, self.part.space
-        d, n = s.dim, len(s.points)
-        self.theta, self.start, self.lost = np.ones(n), np.zeros((n, d)), 0.0
+        d = s.dim
         self.walls = self.free.copy()  # of the solid, at special nodes: not held at inflows
         self.walls[np.isin(self.special, self.fixed)] = np.eye(d)
         # nodes of degree two in the middle of edges take the mean of the solid's velocity at the ends
@@ -181,7 +180,7 @@ class Mixture(Stages):
         walls[at] = project @ walls[at]
         self.open_special = old[self.open_special]
         self.special, self.free, self.walls = special, free, walls
-        self.place = np.full(len(self.theta), -1, np.int32)
+        self.place = np.full(len(self.part.nodes), -1, np.int32)
         self.place[special] = np.arange(len(special))
 
     def begin(self, theta, openness, flat, velocity, inverse_mass, filled, ghost, dry):
@@ -256,11 +255,7 @@ class Mixture(Stages):
         """The conserved variables of the gas after the pressure has acted on it and the solid. Collective."""
         part, before = self.part, self.before_pressure(U, dt, advected, star)
         inverse, tensors = before.inverse, self.free_directions(dt, before.inverse)
-        solid, ghost = self.start, self.ghost
-        if star is not None:
-            solid = solid.copy()
-            solid[self.pushed] += EXTRAPOLATE * (self.now - solid)[self.pushed]
-            ghost = ghost + EXTRAPOLATE * (self.P - ghost)
+        solid, ghost = self.before_stage(star is not None)
         target, stiffness = self.targets(U, before, ghost, dt)
 
         force = self.force(target)
@@ -285,7 +280,18 @@ class Mixture(Stages):
         work = self.work(solid, new, gas, ghost, before.internal, dt)
         if len(self.open.nodes):
             work[self.open.nodes] -= self.open.power(gas) * self.theta[self.open.nodes]
-        out = self.after_pressure(U, dt, before, gas, self.per_open_volume(work))
+        return self.after_pressure(U, dt, before, gas, self.per_open_volume(work))
+
+    def before_stage(self, second):
+        """Velocity (n, d) of the solid and pressure (nq,) of its ghost that a stage starts from."""
+        if not second:
+            return self.start, self.ghost
+        velocity = self.start + EXTRAPOLATE * (self.now - self.start)
+        return velocity, self.ghost + EXTRAPOLATE * (self.P - self.ghost)
+
+    def after_pressure(self, U, dt, before, velocity, work):
+        """See `Stages`; what stands for gas at closed nodes stays. Collective."""
+        out = super().after_pressure(U, dt, before, velocity, work)
         out[self.closed] = U[self.closed]
         return out
 

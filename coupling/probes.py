@@ -23,11 +23,9 @@ def probe(mesh, points, field):
     points = np.ascontiguousarray(points, float).reshape(-1, mesh.dim)
     cell = np.zeros(len(points), np.int32)
     search(tuple(range(mesh.dim)), points, cell, mesh.cells, mesh.points, mesh.inverse, *cell_bins(mesh))
-    corners = mesh.cells[cell]
-    inner = np.einsum("nij,nj->ni", mesh.inverse[cell], points - mesh.points[corners[:, 0]])
-    weights = np.concatenate([1 - inner.sum(axis=1, keepdims=True), inner], axis=1)
+    weights = mesh.barycentric(points, cell)
     weights[cell < 0] = np.nan
-    return np.einsum("ni,ni...->n...", weights, np.asarray(field, float)[corners])
+    return np.einsum("ni,ni...->n...", weights, np.asarray(field, float)[mesh.cells[cell]])
 
 
 def wall_force(mesh, boundary, pressure):

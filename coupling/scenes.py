@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from fempm.cli import print_files, run_options
+from fempm.cli import run_options
 from fempm.run import run
 
-from .picture import schlieren_strip
+from .picture import schlieren_strip, spread
 
 
 def shocked(mach, density, pressure, gamma=1.4):
@@ -73,8 +73,7 @@ def play(scene, args, moments=4, plane=None, contrast=8.0, **options):
     """
     options.setdefault("watch", centres)
     record = run(scene, **run_options(args), **options)
-    last = len(record.vertex_frames) - 1
-    chosen = sorted({-(-last * i // moments) for i in range(1, moments + 1)})
+    chosen = spread(range(len(record.vertex_frames)), moments)
     fields = [record.vertex_frames[k] for k in chosen]
     positions = [record.frames[k][1] for k in chosen]
     if plane is not None:
@@ -91,8 +90,3 @@ def play(scene, args, moments=4, plane=None, contrast=8.0, **options):
         value = log[name]
         print(f"{name}: {value[0]:.6g} at first, {value[-1]:.6g} at the end (open ends count)")
     return record, [path]
-
-
-def finish(record, pictures):
-    """Name all files that a scene wrote."""
-    print_files([*record.files, *pictures])

@@ -12,7 +12,7 @@ definite system for P and h. It is the mixture with other volumes: a vertex's ga
 import numpy as np
 
 from . import pressure
-from .mixture import EXTRAPOLATE, Mixture, add_work
+from .mixture import Mixture, add_work
 
 
 class SharpSystem(pressure.PressureSystem):
@@ -130,10 +130,7 @@ class Sharp(Mixture):
         size, before = self.part.size, self.before_pressure(U, dt, advected, star)
         inverse, tensors = before.inverse / self.share, self.free_directions(dt, before.inverse / self.share)
         inverse[self.closed] = 0
-        solid, ghost = self.start, self.ghost
-        if star is not None:
-            solid = solid + EXTRAPOLATE * (self.now - solid)
-            ghost = ghost + EXTRAPOLATE * (self.P - ghost)
+        solid, ghost = self.before_stage(star is not None)
         target, stiffness = self.targets(U, before, ghost, dt)
 
         def by_gas(force):
@@ -167,9 +164,7 @@ class Sharp(Mixture):
         work = self.gas_work(gas, 0.5 * (solid + new), before.internal)
         if len(self.open.nodes):
             work[self.open.nodes] -= self.open.power(gas)
-        out = self.after_pressure(U, dt, before, gas, self.per_open_volume(work))
-        out[self.closed] = U[self.closed]
-        return out
+        return self.after_pressure(U, dt, before, gas, self.per_open_volume(work))
 
     def mean_pressure(self, values):
         """(n,) means of the pressures (nc,) of the cells around each node."""

@@ -10,8 +10,8 @@ import numpy as np
 
 import fempm
 from coupling import Coupled, IdealGas, Inflow, Outflow, SlipWall
-from coupling.scenes import finish, planar_shock, play, shocked
-from fempm.cli import scene_arguments
+from coupling.scenes import planar_shock, play, shocked
+from fempm.cli import print_files, scene_arguments
 
 MESHES = Path(__file__).parent.parent / "meshes"
 SIZE, NOSE = np.array([1.28, 0.4, 0.72]), np.array([0.2, 0.2, 0.36])
@@ -51,7 +51,7 @@ def main(argv=None):
         print(f"{name} against the fuselage: {np.round(by, 3)} m")
     print(f"plastic strain: at most {strain.max():.2f}, mean {strain.mean():.3f}")
     print(f"{len(x)} of {len(start)} particles are in the tunnel, of {len(volume)}")
-    finish(record, pictures)
+    print_files([*record.files, *pictures])
     return {"parts": {name: move[mine].mean(axis=0) for name, mine in parts.items()}, "record": record}
 
 

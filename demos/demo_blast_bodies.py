@@ -7,8 +7,8 @@ import numpy as np
 
 import fempm
 from coupling import Coupled, IdealGas, Outflow, SlipWall
-from coupling.scenes import burst, finish, play
-from fempm.cli import scene_arguments
+from coupling.scenes import burst, play
+from fempm.cli import print_files, scene_arguments
 
 LAWS = {"heavy": fempm.NeoHookean(80.0, 1600.0, 0.22), "light": fempm.NeoHookean(10.0, 200.0, 0.22)}
 PLACES = {"heavy": (0, 0.02, 0.36), "light": (-0.42, 0.02, 0), "iron": (0.3, 0.02, 0)}
@@ -48,7 +48,7 @@ def main(argv=None):
         up = path[:, 1].max() - path[0, 1]
         print(f"{name}: moved by {np.round(path[-1] - path[0], 3)} m, {up:.3f} m up")
     print(f"{log['dissipated'][-1]:.2e} J lost in plastic strain of the iron")
-    finish(record, pictures)
+    print_files([*record.files, *pictures])
     return {"record": record}
 
 

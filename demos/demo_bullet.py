@@ -11,8 +11,8 @@ import numpy as np
 import fempm
 from coupling import Coupled, IdealGas, Outflow, SlipWall
 from coupling.probes import probe
-from coupling.scenes import burst, centres, finish, play
-from fempm.cli import scene_arguments
+from coupling.scenes import burst, centres, play
+from fempm.cli import print_files, scene_arguments
 
 MESHES = Path(__file__).parent.parent / "meshes"
 BARREL, BORE, CHARGE, LENGTH = 1.0, 0.15, 0.3, 0.2  # of the barrel, its bore, the charge and the bullet
@@ -50,7 +50,7 @@ def main(argv=None):
     print(
         f"bound {np.sqrt(2 * work / mass):.2f} m/s; blast beside the way out {log['ear'].max():.2f} times air"
     )
-    finish(record, pictures)
+    print_files([*record.files, *pictures])
     return {"speed": speed, "record": record}
 
 

@@ -7,8 +7,8 @@ import numpy as np
 
 import fempm
 from coupling import Coupled, IdealGas, Inflow, Outflow, SlipWall
-from coupling.scenes import finish, play
-from fempm.cli import scene_arguments
+from coupling.scenes import play
+from fempm.cli import print_files, scene_arguments
 
 SIZE, AXIS, RADIUS = np.array([2.0, 0.4, 0.24]), np.array([0.4, 0.2]), 0.06  # box, and cylinder along z
 ENDS, SIDES = ("back", "front"), ("bottom", "top")  # walls
@@ -51,7 +51,7 @@ def main(argv=None):
     log, k = record.log, np.nanargmax(record.log["middle"])
     print(f"its middle moves by {log['middle'][k]:.3f} m until {log['time'][k]:.2f} s, at the end by")
     print(f"{log['middle'][-1]:.3f} m, its ends by {log['ends'][-1]:.3f} m; {log['remaining'][-1]} particles")
-    finish(record, pictures)
+    print_files([*record.files, *pictures])
     return {"record": record}
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 import fempm
 from coupling import Coupled, IdealGas, Inflow, Outflow, SlipWall
-from coupling.scenes import finish, play
-from fempm.cli import scene_arguments
+from coupling.scenes import play
+from fempm.cli import print_files, scene_arguments
 
 BALLS = {"light": (-0.65, 1), "middle": (0.0, 4), "heavy": (0.65, 9)}  # x, also of the nozzles, and density
 WIDTH, RADIUS, HEIGHT = 0.2, 0.16, 0.42  # of the nozzles, squares in the floor, and of the balls
@@ -51,7 +51,7 @@ def main(argv=None):
     for name, y in height.items():
         print(f"{name}: {y[-1]:+.3f} m up, at most {np.nanmax(y):+.3f} m")
     print(f"free fall would be {-0.5 * args.gravity * scene.time**2:.3f} m")
-    finish(record, pictures)
+    print_files([*record.files, *pictures])
     return {"rise": {name: y[-1] for name, y in height.items()}, "record": record}
 
 

@@ -8,8 +8,8 @@ import numpy as np
 
 import fempm
 from coupling import Coupled, IdealGas, SlipWall
-from coupling.scenes import burst, finish, play
-from fempm.cli import scene_arguments
+from coupling.scenes import burst, play
+from fempm.cli import print_files, scene_arguments
 
 CENTRE, RADIUS, THICK = np.array([0.5, 0.5]), 0.115, 0.03
 SIDES = "left", "right", "bottom", "top"
@@ -49,7 +49,7 @@ def main(argv=None):
     print(f"mass off by {drift:.1e}, momentum at most {momentum:.1e}")
     print(f"{log['pieces'][-1]} pieces, the first at {log['time'][np.argmax(log['pieces'] > 1)]:.3f} s")
     print(f"fastest particle {log['fastest'].max():.2f} m/s; gas flows back with {back:.2f} m/s at the end")
-    finish(record, pictures)
+    print_files([*record.files, *pictures])
     return {"mass": drift, "pieces": log["pieces"], "record": record}
 
 

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 import fempm
 from coupling import Coupled, IdealGas, SlipWall
-from coupling.scenes import centres, finish, planar_shock, play
-from fempm.cli import scene_arguments
+from coupling.scenes import centres, planar_shock, play
+from fempm.cli import print_files, scene_arguments
 
 SIZE, FRONT = np.array([2.6, 0.48, 0.48]), 1.0  # the box, and how far the shock has come at the start
 PLANETS = ((1.15, 0.24, 0.24, 0.1), (1.42, 0.12, 0.34, 0.06), (1.5, 0.36, 0.12, 0.05))  # centres and radii
@@ -51,7 +51,7 @@ def main(argv=None):
     print(f"mass off by {drift['mass']:.1e}, energy by {drift['energy']:.1e} of their start")
     print(f"{len(bodies)} planets, {log['pieces'][-1]} pieces, {log['fragments'][-1]} of 8 particles or more")
     print("energy of the solids:", {k: f"{log[k][-1]:.3g} J" for k in ("kinetic", "elastic", "dissipated")})
-    finish(record, pictures)
+    print_files([*record.files, *pictures])
     return {"drift": drift, "pieces": log["pieces"], "record": record}
 
 

@@ -7,8 +7,8 @@ import numpy as np
 
 import fempm
 from coupling import Coupled, IdealGas, Outflow, SlipWall
-from coupling.scenes import burst, finish, play
-from fempm.cli import scene_arguments
+from coupling.scenes import burst, play
+from fempm.cli import print_files, scene_arguments
 
 SIZE, GRAVITY, REAR, FRONT = np.array([1.2, 0.6, 0.6]), 0.5, 0.35, 0.75  # the axles' x
 WHEEL, BALL = 0.075, 0.07  # radii
@@ -51,7 +51,7 @@ def main(argv=None):
     for name, by in moved.items():
         print(f"{name}: moved by {np.round(by, 3)} m")
     print(f"plastic strain of the truck: at most {strain.max():.2f}, mean {strain[truck_is].mean():.3f}")
-    finish(record, pictures)
+    print_files([*record.files, *pictures])
     return {"moved": moved, "plastic_strain": strain.max(), "record": record}
 
 

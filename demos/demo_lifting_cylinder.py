@@ -7,8 +7,8 @@ import numpy as np
 
 import fempm
 from coupling import Coupled, IdealGas, Inflow, Outflow, SlipWall
-from coupling.scenes import centres, finish, planar_shock, play, shocked
-from fempm.cli import scene_arguments
+from coupling.scenes import centres, planar_shock, play, shocked
+from fempm.cli import print_files, scene_arguments
 
 MACH, REST = 3.0, (1.4, 1.0)  # density and pressure of the gas at rest, where sound has speed 1
 CENTRE, RADIUS, DENSITY = np.array([0.15, 0.05]), 0.05, 10.77
@@ -51,7 +51,7 @@ def main(argv=None):
     print(f"cells across the channel; x and y of the cylinder at {MOMENTS[0]} s and at {MOMENTS[1]} s")
     for row, before in zip(rows, [rows[0], *rows]):
         print(f"{row[0]:5.1f}: {np.round(row[1:], 4)}, moved by {np.round(np.subtract(row, before)[1:], 4)}")
-    finish(record, pictures)
+    print_files([*record.files, *pictures])
     return {"places": np.array(rows)[:, 1:].reshape(-1, 2, 2), "record": record}
 
 

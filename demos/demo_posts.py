@@ -7,8 +7,8 @@ import numpy as np
 
 import fempm
 from coupling import Coupled, IdealGas, Inflow, Outflow, SlipWall
-from coupling.scenes import finish, planar_shock, play, shocked
-from fempm.cli import scene_arguments
+from coupling.scenes import planar_shock, play, shocked
+from fempm.cli import print_files, scene_arguments
 
 SIZE, RADIUS, BROKEN = np.array([0.9, 0.42, 0.36]), 0.036, 0.1  # the box, of the trunks, that plastic strain
 PLANTS = ((0.25, 0.09, 0.24), (0.37, 0.27, 0.3), (0.5, 0.12, 0.27))  # x, z and height
@@ -51,7 +51,7 @@ def main(argv=None):
         print(f"plant at {at}: plastic strain {mean.max():.2f} at {weakest[-1]:.2f} of its height,")
         print(f"  its tip moved by {np.round(tip, 3)} m")
     print(f"{snapped} of {len(bodies)} snapped; {len(x)} of {len(owner)} particles are still there")
-    finish(record, pictures)
+    print_files([*record.files, *pictures])
     return {"snapped": snapped, "weakest": weakest, "record": record}
 
 

@@ -7,8 +7,8 @@ import numpy as np
 
 import fempm
 from coupling import Coupled, IdealGas, SlipWall
-from coupling.scenes import centres, finish, play
-from fempm.cli import scene_arguments
+from coupling.scenes import centres, play
+from fempm.cli import print_files, scene_arguments
 
 SIDES = ("left", "right", "bottom", "top", "back", "front")
 CENTRE, INNER, THIN = np.full(3, 0.6), np.array([0.16, 0.13, 0.16]), 1.7  # of the gas, shell between ribs
@@ -51,7 +51,7 @@ def main(argv=None):
     print(f"the shell moves outward at {log['outward'].max():.1f} m/s, to {log['distance'].max():.2f} m")
     print(f"elastic energy at most {top:.1f} J, {end:.1f} J at the end; {lost:.1f} J lost in plastic strain")
     print(f"mass off by {drift:.1e} of its start")
-    finish(record, pictures)
+    print_files([*record.files, *pictures])
     return {"mass": drift, "record": record}
 
 

@@ -70,15 +70,26 @@ def summary(simulation):
 
 def vertex_fields(simulation):
     """Mass (nv,) and velocity (nv, d) on the mesh's vertices, zero without particles."""
-    s, nv, d = simulation, len(simulation.mesh.points), simulation.mesh.dim
-    s.particle_to_grid()
-    boundaries.fold(s, boundaries.wall_motion(s, 0.0)[0][0])
-    fields = np.where((s.stamp[:nv] == s.steps)[:, None], s.grids[0, :nv, : 1 + d], 0.0)
-    fields = s.ranks.sum(fields)
-    mass, momentum = fields[:, 0], fields[:, 1:]
-    seen = mass > s.smallest_mass
-    velocity = np.where(seen[:, None], momentum / np.where(seen, mass, 1)[:, None], 0)
+    simulation.particle_to_grid()
+    boundaries.fold(simulation, boundaries.wall_motion(simulation, 0.0)[0][0])
+    mass, velocity = at_vertices(simulation)
     return {"mass": mass, "velocity": velocity}
+
+
+def at_vertices(simulation):
+    """Mass (nv,) and velocity (nv, d) of folded sums that ranks have not yet shared, of all ranks together.
+
+    Where there is too little mass the velocity is zero.
+    """
+    s, nv, d = simulation, len(simulation.mesh.points), simulation.mesh.dim
+    fields, at = np.zeros((nv, 1 + d)), s.vertices[: s.num_vertices]
+    at = at[at < nv]
+    fields[at] = s.grids[0, at, : 1 + d]
+    fields = s.ranks.sum(fields)
+    mass, velocity = fields[:, 0], np.zeros((nv, d))
+    seen = np.flatnonzero(mass > s.smallest_mass)
+    velocity[seen] = fields[seen, 1:] / mass[seen, None]
+    return mass, velocity
 
 
 def active_parts(simulation):

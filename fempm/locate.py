@@ -61,12 +61,15 @@ def cell_bins(mesh):
 
 def wall_facets(mesh, layer):
     """(nc, d + 1) bool: facets on walls, by the vertex opposite."""
-    walled = {tuple(sorted(f)) for f in mesh.exterior_facets.tolist()} - {
-        tuple(sorted(f)) for f in layer.open_facets.tolist()
-    }
+    return (mesh.neighbours == -1) & ~mark_facets(mesh, layer.open_facets)
+
+
+def mark_facets(mesh, facets):
+    """(nc, d + 1) bool: exterior facets that are among those given, (nf, d), by the vertex opposite."""
+    given = {tuple(sorted(f)) for f in np.asarray(facets).tolist()}
     out = np.zeros(mesh.cells.shape, bool)
     for c, q in zip(*np.nonzero(mesh.neighbours == -1), strict=True):
-        out[c, q] = tuple(sorted(np.delete(mesh.cells[c], q).tolist())) in walled
+        out[c, q] = tuple(sorted(np.delete(mesh.cells[c], q).tolist())) in given
     return out
 
 

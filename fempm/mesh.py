@@ -59,6 +59,11 @@ class SimplexMesh:
         """Space dimension d (1, 2 or 3)."""
         return self.points.shape[1]
 
+    def barycentric(self, x, cell):
+        """(n, d + 1) barycentric coordinates of points x (n, d) in the cells (n,) given."""
+        inner = np.einsum("nij,nj->ni", self.inverse[cell], x - self.points[self.cells[cell, 0]])
+        return np.concatenate([1 - inner.sum(axis=1, keepdims=True), inner], axis=1)
+
     def quality(self, cell):
         """Shape quality of one cell: d-th root of volume over rms edge length, 1 for the regular one."""
         corners = self.points[self.cells[cell]]

@@ -9,11 +9,7 @@ def outlet_facets(mesh, names):
     """(nc, d + 1) bool: facets on the named boundaries, by the vertex opposite."""
     if isinstance(names, str):
         raise TypeError(f"outlets {names!r}: give a list of names of boundaries")
-    leaving = {tuple(sorted(f)) for name in names for f in np.asarray(mesh.facets(name)).tolist()}
-    out = np.zeros(mesh.cells.shape, bool)
-    for c, q in zip(*np.nonzero(mesh.neighbours == -1), strict=True):
-        out[c, q] = tuple(sorted(np.delete(mesh.cells[c], q).tolist())) in leaving
-    return out
+    return locate.mark_facets(mesh, np.concatenate([mesh.facets(name) for name in names]))
 
 
 def remove_escaped(simulation):
@@ -24,9 +20,7 @@ def remove_escaped(simulation):
     s, p, mesh = simulation, simulation.particles, simulation.mesh
     lost = np.flatnonzero(s.status[: len(p)] == locate.LOST)
     cell = p.cell[lost]
-    first = np.einsum("pij,pj->pi", mesh.inverse[cell], p.position[lost] - mesh.points[mesh.cells[cell, 0]])
-    coordinates = np.concatenate([1 - first.sum(axis=1, keepdims=True), first], axis=1)
-    out = s.outlet[cell, np.argmin(coordinates, axis=1)]
+    out = s.outlet[cell, np.argmin(mesh.barycentric(p.position[lost], cell), axis=1)]
     stuck = int(np.sum(~out))
     if stuck:  # the run ends with an error: leave the others where they are
         s.status[lost[out]] = locate.FOUND

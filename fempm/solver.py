@@ -354,7 +354,7 @@ class Simulation:
         return time_step.stable_step(self)
 
     def vertex_fields(self):
-        """Mass (nv,) and velocity (nv, d) on the mesh's vertices now, see `diagnostics.vertex_fields`."""
+        """Mass (nv,) and velocity (nv, d) on the mesh's vertices now, without particles zero. Collective."""
         return diagnostics.vertex_fields(self)
 
     def gather(self, name):
@@ -369,7 +369,7 @@ class Simulation:
         return diagnostics.summary(self)
 
     def save(self, path):
-        """Write a checkpoint, see `checkpoint.save_checkpoint`."""
+        """Write a checkpoint, see `checkpoint.save_checkpoint`. Collective."""
         checkpoint.save_checkpoint(self, path)
 
     def load(self, path):

@@ -11,6 +11,14 @@ from mesh_factory import rectangle
 
 import fempm
 from fempm.cli import run_options, scene_arguments
+from fempm.parallel import Ranks
+
+
+class Alone(Ranks):
+    """Ranks of a program that runs without MPI."""
+
+    def __init__(self):
+        self.comm, self.rank, self.size = None, 0, 1
 
 
 @dataclass(frozen=True)

@@ -7,22 +7,14 @@ import meshio
 import numpy as np
 import pytest
 from coupled_scenes import advance, block_in_blast
-from small_scene import command
+from small_scene import Alone, command
 
 import fempm
-from fempm.parallel import Ranks
 
 # isort: split
 from mpi4py import MPI
 
 COMM = MPI.COMM_WORLD
-
-
-class Alone(Ranks):
-    """Ranks of a program that runs without MPI."""
-
-    def __init__(self):
-        self.comm, self.rank, self.size = None, 0, 1
 
 
 CASES = [

@@ -5,7 +5,7 @@ import subprocess
 import numpy as np
 import pytest
 from gas_scenes import AIR, PAIRS, SIDES, advance, blast, box, even_box, jump, totals, walls
-from small_scene import command
+from small_scene import Alone, command
 
 import fempm
 from coupling import Flow, Inflow, Outflow, Periodic, SlipWall, SubsonicInflow, flow
@@ -17,13 +17,6 @@ from mpi4py import MPI
 
 COMM = MPI.COMM_WORLD
 SIZES = {1: 80, 2: 14, 3: 4}
-
-
-class Alone(Ranks):
-    """Ranks of a program that runs without MPI."""
-
-    def __init__(self):
-        self.comm, self.rank, self.size = None, 0, 1
 
 
 def scene(d, pair="B1-B0", ends="walls", **options):

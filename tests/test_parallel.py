@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mesh_factory import MESHES, cube, rectangle
+from small_scene import Alone
 
 import fempm
 from fempm import Body, LostParticles, NeoHookean, Simulation, SimulationError, Wall, solver
@@ -23,13 +24,6 @@ from mpi4py import MPI
 COMM = MPI.COMM_WORLD
 RUBBER = NeoHookean(1.0, 30.0, 0.3)
 many = pytest.mark.skipif(COMM.size == 1, reason="one rank has nothing to exchange")
-
-
-class Alone(Ranks):
-    """Ranks of a program that runs without MPI."""
-
-    def __init__(self):
-        self.comm, self.rank, self.size = None, 0, 1
 
 
 def balls(mesh, d, speeds):

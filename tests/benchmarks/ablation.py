@@ -9,7 +9,6 @@ import numpy as np
 
 import fempm
 from coupling import Coupled, IdealGas, SlipWall, pressure
-from coupling.mixture import EXTRAPOLATE
 from coupling.scenes import planar_shock
 from coupling.sharp import Sharp
 
@@ -50,7 +49,7 @@ class Local(Sharp):
     """The pressure's gradient at the vertices from their mean pressures, for the solid's final velocity."""
 
     def implicit_pressure(self, U, dt, advected=None, star=None):
-        solid = self.start if star is None else self.start + EXTRAPOLATE * (self.now - self.start)
+        solid = self.before_stage(star is not None)[0]
         out = super().implicit_pressure(U, dt, advected, star)
         s = self.part.space
         slopes = s.coefficients[:, 0] / s.cell_volumes[:, None, None]
