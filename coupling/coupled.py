@@ -75,7 +75,9 @@ class Coupled(Flow):
         self.unclaimed, self.solid_rate = 0.0, 0.0
         whole = self.part.whole
         n = len(whole.points)
-        self.adjacency = merging.adjacency(whole.edges, n)
+        self.adjacency = self.graph = merging.adjacency(whole.edges, n)
+        if self.ranks.size > 1:  # of this rank's edges
+            self.graph = merging.adjacency(self.part.space.edges, len(self.part.nodes))
         self.root, self.touched = np.arange(n, dtype=np.int32), np.empty(0, np.int64)
         self.vertices = np.flatnonzero(self.part.nodes < len(self.mesh.points))  # local nodes at vertices
         self.ends = self.open_nodes()
@@ -133,7 +135,7 @@ class Coupled(Flow):
         sizes = self.part.size, (1,) * whole.cell_nodes.shape[1]
         fractions.add_volumes(*sizes, p.position, p.cell, values, *lists, sums)
         sums = self.ranks.sum(sums)
-        some = np.flatnonzero(sums[:, 0])
+        some = np.flatnonzero(sums[:, 0] > 0)
         sums[some] /= whole.volumes[some, None]
         alpha, compliance, ghost = sums.T
         if self.interface == "mixture":
@@ -156,44 +158,47 @@ class Coupled(Flow):
         self.root[self.touched] = self.touched
         self.touched = np.flatnonzero((theta < 1) | (self.theta < 1))
         merging.settle(self.touched, held, theta, *self.adjacency, self.root)
+        root = self.root[self.touched]
+        small = self.touched[(root != self.touched) & (root >= 0)]
+        members = np.union1d(small, self.root[small])
+        group = np.unique(self.root[members], return_inverse=True)[1]
+        self.groups = members, group, *self.part.find(members)
 
     def regrid(self, U, old, new):
         """U (n, d + 2) of this rank for open shares `new` of all nodes that were `old`. Collective."""
-        part, volumes = self.part, self.part.whole.volumes
-        out = U.copy()
-        at = np.searchsorted(part.nodes, self.touched)
-        at[at == len(part.nodes)] = 0
-        open_here = (part.nodes[at] == self.touched) & (new[self.touched] > 0)
+        part, out = self.part, U.copy()
+        at, here = part.find(self.touched)
+        open_here = here & (new[self.touched] > 0)
         at, nodes = at[open_here], self.touched[open_here]
         out[at] *= (old[nodes] / new[nodes])[:, None]
-        small = self.touched[(self.root[self.touched] != self.touched) & (self.root[self.touched] >= 0)]
-        if len(small):
-            members = np.union1d(small, self.root[small])
-            at = np.searchsorted(part.nodes, members)
-            at[at == len(part.nodes)] = 0
-            here = part.nodes[at] == members
-            totals = np.zeros((len(members), U.shape[1]))
-            mine = here & part.mine[at]
-            totals[mine] = U[at[mine]] * (old * volumes)[members[mine], None]
-            open_volume = (new * volumes)[members]
-            totals = merging.share_states(self.root[members], open_volume, self.ranks.sum(totals))
-            kept = here & (open_volume > 0)
-            out[at[kept]] = totals[kept] / open_volume[kept, None]
+        return self.merge(U, old, new, out)
+
+    def merge(self, U, old, new, out):
+        """Nodes of one state get the mean, by open shares `new`, of U (n, d + 2), by `old`. Collective."""
+        members, group, at, here = self.groups
+        if len(members):
+            volumes = self.part.whole.volumes[members]
+            totals = U[at] * ((here & self.part.mine[at]) * old[members] * volumes)[:, None]
+            volumes = new[members] * volumes
+            means = merging.means(group, volumes, self.ranks.sum(totals))
+            kept = here & (volumes > 0)
+            out[at[kept]] = means[kept]
         return out
 
     def one_step(self, U, dt, scheme=None, limiter=None):
         """The gas after a step, and the solid moved on: in the order of thesis 3.2.2. Collective."""
         solid, stages = self.solid, self.stages
         solid.particle_to_grid()
-        mass, velocity = self.solid_at_vertices(dt)
+        moving_solid = self.solid_at_vertices(dt)
         theta, compliance, ghost = self.shares()
         self.settle(theta, self.theta > 0)
         U = self.regrid(U, self.theta, theta)
-        self.begin(U, theta, mass, velocity, *self.filled_cells(theta, compliance, ghost))
+        self.begin(U, theta, *moving_solid, *self.filled_cells(theta, compliance, ghost))
+        stages.merge = lambda U: self.merge(U, theta, theta, U)
         U = super().one_step(U, dt, scheme, limiter)
-        self.push_solid(mass, dt)
+        self.push_solid(dt)
         solid.update_grid(dt)
-        self.squeeze(stages.P + stages.kicked(self.solid_velocity()))
+        self.squeeze(stages.P[stages.soft] + stages.kicked(self.solid_velocity()))
         try:
             solid.move(dt)
         except RemoteError as error:  # no shorter step of the gas mends it
@@ -202,59 +207,59 @@ class Coupled(Flow):
         return U
 
     def solid_at_vertices(self, dt):
-        """Mass (nv,) and velocity (nv, d) of the solid at the vertices, on all ranks. Collective."""
+        """Vertices (k,) with solid, and its mass (k,) and velocity (k, d) there, on all ranks. Collective."""
         s = self.solid
         moving.fold(s, moving.wall_motion(s, dt)[0][0])
-        mass, velocity = diagnostics.at_vertices(s)
+        found = diagnostics.at_vertices(s)
         s.borders.add_shared(s.grids[0], s.stamp, s.steps)
-        return np.where(mass > s.smallest_mass, mass, 0.0), velocity
+        return found
 
     def solid_vertices(self):
         """Vertices of the mesh that this rank's particles reach."""
         at = self.solid.vertices[: self.solid.num_vertices]
         return at[at < len(self.mesh.points)]
 
-    def begin(self, U, theta, mass, velocity, *cells):
+    def begin(self, U, theta, vertices, mass, velocity, *cells):
         """Give the stages the solid, and closed nodes of U the state of their neighbours. Collective."""
         part, s = self.part, self.part.space
-        theta, local = theta[part.nodes], part.nodes[self.vertices]
-        closed = theta == 0
+        theta = theta[part.nodes]
         sums = self.buffer("beside", (len(theta), 1 + U.shape[1]))
-        if self.ranks.max(int(closed.any())):
-            merging.add_open_neighbours(s.edges, closed, U, sums)
-            part.sum_nodes(sums)
-        beside = sums[:, 0] > 0
-        filled = np.flatnonzero(closed & beside)
+        merging.add_open_neighbours(np.flatnonzero(theta == 0), theta, *self.graph, U, sums)
+        part.sum_nodes(sums)
+        beside = np.flatnonzero(sums[:, 0] > 0)
+        filled = beside[theta[beside] == 0]
         U[filled] = sums[filled, 1:] / sums[filled, :1]
         inverse, start = np.zeros(len(theta)), np.zeros((len(theta), self.mesh.dim))
-        heavy = np.flatnonzero(mass[local])
-        inverse[self.vertices[heavy]] = 1 / mass[local[heavy]]
-        start[self.vertices[heavy]] = velocity[local[heavy]]
+        at, here = part.find(vertices)
+        self.heavy = at[here], vertices[here]
+        inverse[at[here]] = 1 / mass[here]
+        start[at[here]] = velocity[here]
         openness = fractions.edge_openness(self.openness, theta, s)
-        flat = np.flatnonzero(beside & ~closed)
+        flat = beside[theta[beside] > 0]
         self.stages.begin(theta, openness, flat, start, inverse, *cells)
 
     def filled_cells(self, theta, compliance, ghost):
-        """What `Mixture.begin` needs of the cells: filled, ghost and dry, from nodal values. Collective.
+        """What `Mixture.begin` needs of cells: filled, ghost, soft and dry, from nodal values. Collective.
 
         The ghost's pressure is the mean over the particles by the same weights with which `squeeze` hands
         its change back to them, so that it takes that up; the mean over the nodes is for cells without any.
         """
         part, s = self.part, self.part.space
         filled = self.buffer("filled", (len(part.dofs), 3))
-        dry = np.empty(len(s.cell_nodes), np.uint8)
+        dry, soft = np.empty(len(s.cell_nodes), np.uint8), np.zeros(len(filled), np.uint8)
         lists = s.cell_nodes, s.cell_pressures, s.weights, s.cell_volumes
-        nodal = (theta, compliance, ghost)
+        nodal = ((theta < 1) | (compliance > 0), theta, compliance, ghost)
         if self.ranks.size > 1:
             nodal = (values[part.nodes] for values in nodal)
-        add_filled(part.shape, *lists, *nodal, dry, filled)
+        add_filled(part.shape, *lists, *nodal, dry, soft, filled)
         part.sum_dofs(filled)
+        soft = np.flatnonzero(part.sum_dofs(soft) > 0)
         own = self.buffer("own", (len(part.whole.pressure_volumes), 2))
         merging.add_weighted(*self.particle_pressures(), own)
         sums = self.ranks.sum(own)[part.dofs] if self.ranks.size > 1 else own
-        mean = np.empty(len(filled))
-        merging.divide(sums, filled, mean)
-        return filled, mean, dry
+        mean = np.zeros(len(filled))
+        merging.divide(soft, sums, filled, mean)
+        return filled, mean, soft, dry
 
     def particle_pressures(self):
         """Dofs (np, k) of the cells of the particles, the particles' weights there, and p_g (np,)."""
@@ -265,16 +270,16 @@ class Coupled(Flow):
         share = self.mesh.barycentric(p.position, p.cell) if linear else np.ones((len(p), 1))
         return dofs, share * (self.volume / modulus)[:, None], modulus * (1 - ratio)
 
-    def push_solid(self, mass, dt):
+    def push_solid(self, dt):
         """Add the force of the pressure to that of the stress at the vertices. Collective."""
         s, stages = self.solid, self.stages
-        change, here = self.buffer("change", stages.now.shape), np.flatnonzero(stages.inverse)
-        change[here] = (stages.now[here] - stages.start[here]) / dt
-        speed, size = (np.linalg.norm(x[here], axis=1) for x in (stages.now, change))
-        width = self.width[here]
+        change, here = np.zeros(stages.now.shape), np.flatnonzero(stages.inverse > 0)
+        now, width = stages.now[here], self.width[here]
+        change[here] = push = (now - stages.start[here]) / dt
+        speed, size = (np.sqrt(np.einsum("ia,ia->i", x, x)) for x in (now, push))
         self.solid_rate = np.max(0.5 * (speed + np.sqrt(speed**2 + 4 * size * width)) / width, initial=0)
         force, at = self.part.gather(change), self.solid_vertices()
-        s.grids[0, at, 1 + self.mesh.dim :] += mass[at, None] * force[at]
+        s.grids[0, at, 1 + self.mesh.dim :] += s.grids[0, at, :1] * force[at]
 
     def solid_velocity(self):
         """(n, d) velocity of the solid now, at this rank's nodes at vertices. Collective."""
@@ -285,17 +290,16 @@ class Coupled(Flow):
             velocity, count = self.ranks.sum(velocity), np.zeros(nv)
             count[at] = 1
             velocity /= np.maximum(self.ranks.sum(count), 1)[:, None]
-        out = np.zeros((len(self.part.nodes), self.mesh.dim))
-        at = np.flatnonzero(self.stages.inverse)
-        at = at[at < len(self.vertices)]  # vertices come first
-        out[at] = velocity[self.part.nodes[at]]
+        out, (at, vertices) = np.zeros((len(self.part.nodes), self.mesh.dim)), self.heavy
+        out[at] = velocity[vertices]
         return out
 
     def squeeze(self, pressure):
-        """J_g of the particles after the pressure (nq,) of their cells has changed. Collective."""
+        """J_g of the particles after the `soft` pressures have changed to those given. Collective."""
         stages, whole, p = self.stages, self.part.whole, self.solid.particles
-        change = self.part.gather_dofs(np.where(stages.compliance > 0, stages.ghost - pressure, 0.0))
-        change = change[whole.cell_pressures[p.cell]]
+        change, at = np.zeros(len(stages.P)), stages.soft
+        change[at] = np.where(stages.compliance[at] > 0, stages.ghost[at] - pressure, 0.0)
+        change = self.part.gather_dofs(change)[whole.cell_pressures[p.cell]]
         if change.shape[1] > 1:
             change = change * self.mesh.barycentric(p.position, p.cell)
         p.state[GHOST] += change.sum(axis=1) / self.modulus_of_particles()

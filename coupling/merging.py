@@ -60,18 +60,16 @@ def settle(nodes, held, theta, start, adjacent, root):
 
 
 @njit(cache=True)
-def add_open_neighbours(edges, closed, U, sums):
+def add_open_neighbours(nodes, theta, start, adjacent, U, sums):
     """Add to `sums` (n, 1 + m) of closed nodes 1 and U (n, m) for each open neighbour; of these, 1 each."""
-    for e in range(len(edges)):
-        i, j = edges[e, 0], edges[e, 1]
-        if closed[i] == closed[j]:
-            continue
-        if closed[j]:
-            i, j = j, i
-        sums[i, 0] += 1.0
-        sums[j, 0] += 1.0
-        for k in range(U.shape[1]):
-            sums[i, 1 + k] += U[j, k]
+    for i in nodes:
+        for e in range(start[i], start[i + 1]):
+            j = adjacent[e]
+            if theta[j] > 0.0:
+                sums[i, 0] += 1.0
+                sums[j, 0] += 1.0
+                for k in range(U.shape[1]):
+                    sums[i, 1 + k] += U[j, k]
 
 
 @njit(cache=True)
@@ -86,12 +84,11 @@ def most_open(i, best, held, theta, start, adjacent):
     return best
 
 
-def share_states(root, volumes, totals):
-    """(k, m) shares of each node, by volume (k,), in the sum of `totals` (k, m) over nodes of one root."""
-    group = np.unique(root, return_inverse=True)[1]
+def means(group, volumes, totals):
+    """(k, m) sums of `totals` (k, m) over all nodes of a group over their volume (k,), for each node."""
     volume = np.bincount(group, volumes)
     sums = np.stack([np.bincount(group, column) for column in totals.T], axis=1)
-    return sums[group] * (volumes / volume[group])[:, None]
+    return (sums / volume[:, None])[group]
 
 
 @njit(cache=True)
@@ -104,10 +101,9 @@ def add_weighted(dofs, weights, values, out):
 
 
 @njit(cache=True)
-def divide(sums, others, out):
-    """Fill `out` (nq,) with means: of sums (nq, 2), or of columns 1, 2 of others, where there is weight."""
-    for q in range(len(out)):
-        out[q] = 0.0
+def divide(dofs, sums, others, out):
+    """Means in `out` (nq,) at some dofs: of sums (nq, 2), without weight of columns 1, 2 of others."""
+    for q in dofs:
         if sums[q, 0] > 0.0:
             out[q] = sums[q, 1] / sums[q, 0]
         elif others[q, 1] > 0.0:

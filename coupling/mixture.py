@@ -23,13 +23,6 @@ from .stages import Stages
 EXTRAPOLATE = 1 + np.sqrt(2)  # (1 - gamma) / gamma of the two-stage scheme
 
 
-@njit(inline="always", **options)
-def gas_share(weight, theta, internal, dry, taken):
-    """Weight of a node in the heat that its cell gives to the gas or takes from it."""
-    weight *= internal if taken > 0.0 else 1.0
-    return weight if dry else weight * theta
-
-
 @njit(**options)
 def add_work(
     shape,
@@ -40,7 +33,8 @@ def add_work(
     volumes,
     dry,
     P,
-    growth,
+    ghost,
+    rate,
     theta,
     alpha,
     internal,
@@ -52,56 +46,65 @@ def add_work(
     """Add to `out` (n,) the energy that the pressure gives to each node's gas; returns what no gas takes.
 
     A node gets the work on its gas, and of the heat -P times the expansion of the gas in a cell a share. The
-    expansion is what the flux of both phases leaves when that of the ghost matrix, `growth` (nq,) per volume,
-    is taken off: so the gas loses what the solid, with `old` and `new` velocity, and its ghost gain. `dry`
+    expansion is what the flux of both phases leaves when that of the ghost matrix, `rate` (nq,) per volume
+    and pressure, is taken off: so the gas loses what the solid, with `old` and `new` velocity, and its ghost
+    gain. `dry`
     (nc,) marks cells of gas alone. What an expansion takes, the nodes pay according to their energy
     `internal` (n,) per open volume: between hot gas and a vacuum they have no equal shares to give.
     """
     per_cell, corners, size = shape
-    lost = 0.0
+    lost, share = 0.0, np.empty(len(corners))
     for c in range(len(nodes)):
         for q in range(len(per_cell)):
-            p, total = P[dofs[c, q]], 0.0
-            if not dry[c]:
-                total = -growth[dofs[c, q]] * volumes[c] / len(per_cell)
+            p, total, shares = P[dofs[c, q]], 0.0, 0.0
             for b in range(len(corners)):
-                i = nodes[c, b]
-                own = other = 0.0
+                i, own = nodes[c, b], 0.0
                 for a in range(len(size)):
                     own += coefficients[c, q, b, a] * gas[i, a]
                 if not dry[c]:
                     own *= theta[i]
                     for a in range(len(size)):
-                        other += 0.5 * alpha[i] * coefficients[c, q, b, a] * (old[i, a] + new[i, a])
+                        total += 0.5 * alpha[i] * coefficients[c, q, b, a] * (old[i, a] + new[i, a])
                 out[i] += p * own
-                total += own + other
-            taken, shares = p * total, 0.0
+                total += own
+            if not dry[c]:
+                total -= rate[dofs[c, q]] * (ghost[dofs[c, q]] - p) * volumes[c] / len(per_cell)
+            taken = p * total
+            if dry[c] and taken <= 0.0:
+                for b in range(len(corners)):
+                    out[nodes[c, b]] -= weights[q, b] * taken
+                continue
             for b in range(len(corners)):
-                shares += gas_share(weights[q, b], theta[nodes[c, b]], internal[nodes[c, b]], dry[c], taken)
+                i = nodes[c, b]
+                share[b] = (
+                    weights[q, b] * (1.0 if dry[c] else theta[i]) * (internal[i] if taken > 0.0 else 1.0)
+                )
+                shares += share[b]
             if shares > 0.0:
                 for b in range(len(corners)):
-                    i = nodes[c, b]
-                    out[i] -= gas_share(weights[q, b], theta[i], internal[i], dry[c], taken) / shares * taken
+                    out[nodes[c, b]] -= share[b] * (taken / shares)
             else:
                 lost -= taken
     return lost
 
 
 @njit(**options)
-def add_filled(shape, nodes, dofs, weights, volumes, theta, compliance, ghost, dry, out):
-    """Add to `out` (nq, 3) int alpha, int alpha / (lambda_g J_g) and that times p_g; `dry` (nc,).
+def add_filled(shape, nodes, dofs, weights, volumes, near, theta, compliance, ghost, dry, soft, out):
+    """Add to `out` (nq, 3) int alpha, int alpha / (lambda_g J_g) and that times p_g.
 
-    `compliance` (n,) and `ghost` are alpha / (lambda_g J_g) and that times p_g at the nodes.
+    `compliance` (n,) and `ghost` are alpha / (lambda_g J_g) and that times p_g at the nodes. Marks cells that
+    have no node `near` (n,) the solid as `dry` (nc,), and the pressures of all others as `soft` (nq,).
     """
     per_cell, corners, _ = shape
     for c in range(len(nodes)):
         dry[c] = 1
         for b in range(len(corners)):
-            if theta[nodes[c, b]] < 1.0 or compliance[nodes[c, b]] > 0.0:
+            if near[nodes[c, b]]:
                 dry[c] = 0
         if dry[c]:
             continue
         for q in range(len(per_cell)):
+            soft[dofs[c, q]] = 1
             for b in range(len(corners)):
                 share = weights[q, b] * volumes[c] / len(per_cell)
                 i = nodes[c, b]
@@ -138,6 +141,9 @@ def mix(size, nodes, theta, alpha, gas, solid, out):
 def both_pressures(gas_volume, star, stiff, soft, ghost, dt, target, stiffness):
     """P* and S (nq,) of gas, its mean pressure and rho c^2 given, and ghost matrix, its compliance given."""
     for q in range(len(star)):
+        if soft[q] == 0.0:
+            target[q], stiffness[q] = star[q], gas_volume[q] / (stiff[q] * dt)
+            continue
         gas = gas_volume[q] / stiff[q] if gas_volume[q] > 0.0 else 0.0
         push = gas * star[q] if gas > 0.0 else 0.0
         target[q] = (push + soft[q] * ghost[q]) / (gas + soft[q])
@@ -150,6 +156,7 @@ class Mixture(Stages):
     Attributes
     ----------
     theta : (n,) open share of the dual cells; wet, closed : nodes where it is not all, and none
+    soft : numbers of the pressures that the solid has a part in; dry : (nc,) marks cells of gas alone
     start, now : (n, d) velocity of the solid at the nodes when the step begins, and after the last stage
     ghost : (nq,) pressure of the ghost matrix as the step begins; P : the last pressure
     lost : energy that the pressure gave to vertices without gas in this step
@@ -183,7 +190,7 @@ class Mixture(Stages):
         self.place = np.full(len(self.part.nodes), -1, np.int32)
         self.place[special] = np.arange(len(special))
 
-    def begin(self, theta, openness, flat, velocity, inverse_mass, filled, ghost, dry):
+    def begin(self, theta, openness, flat, velocity, inverse_mass, filled, ghost, soft, dry):
         """Take up the solid at the start of a step.
 
         Parameters
@@ -192,7 +199,7 @@ class Mixture(Stages):
         flat : nodes beside closed ones, where states are not reconstructed
         velocity, inverse_mass : (n, d), (n,) of the solid, at vertices
         filled : (nq, 2 or more) int alpha and int alpha / (lambda_g J_g); ghost : (nq,) pressure p_g
-        dry : (nc,) marks cells of gas alone
+        soft, dry : see above
         """
         s = self.part.space
         self.theta, self.openness, self.flat = theta, openness, flat
@@ -204,10 +211,12 @@ class Mixture(Stages):
         self.moved = np.zeros(len(theta))
         self.moved[self.wet] = (1 - theta[self.wet]) * (self.inverse[self.wet] > 0)
         self.pushed = self.wet if self.ends is None else np.flatnonzero(inverse_mass)
-        self.compliance, self.ghost, self.lost, self.dry = filled[:, 1].copy(), ghost, 0.0, dry
-        self.gas_volume = s.pressure_volumes - filled[:, 0]
-        self.gas_volume[self.gas_volume < 1e-12 * s.pressure_volumes] = 0
-        self.now, self.P = self.start, ghost
+        self.soft, self.dry = soft, dry
+        self.compliance, self.gas_volume = np.zeros(len(filled)), s.pressure_volumes.copy()
+        self.compliance[soft] = filled[soft, 1]
+        left = s.pressure_volumes[soft] - filled[soft, 0]
+        self.gas_volume[soft] = np.where(left < 1e-12 * s.pressure_volumes[soft], 0, left)
+        self.now, self.P, self.ghost, self.lost = self.start, ghost, ghost, 0.0
 
     def lift(self, values):
         """Values (n, k) at the vertices continued to nodes in the middle of edges, in place."""
@@ -286,24 +295,30 @@ class Mixture(Stages):
         """Velocity (n, d) of the solid and pressure (nq,) of its ghost that a stage starts from."""
         if not second:
             return self.start, self.ghost
-        velocity = self.start + EXTRAPOLATE * (self.now - self.start)
-        return velocity, self.ghost + EXTRAPOLATE * (self.P - self.ghost)
+        velocity, ghost = self.start.copy(), self.ghost.copy()
+        at, soft = self.pushed, self.soft
+        velocity[at] += EXTRAPOLATE * (self.now[at] - self.start[at])
+        ghost[soft] += EXTRAPOLATE * (self.P[soft] - self.ghost[soft])
+        return velocity, ghost
 
     def after_pressure(self, U, dt, before, velocity, work):
         """See `Stages`; what stands for gas at closed nodes stays. Collective."""
         out = super().after_pressure(U, dt, before, velocity, work)
         out[self.closed] = U[self.closed]
-        return out
+        return self.merge(out)
 
     def kicked(self, velocity):
-        """(nq,) what the forces inside of the solid, which made its velocity that given, add to the pressure.
+        """What the forces inside of the solid, which made its velocity that given, add to `soft` pressures.
 
         The ghost matrix has to follow the velocity with which the particles will move: with that from before
         the stress has acted, it would lag behind and feed the solid's waves. Collective.
         """
         change = np.zeros_like(velocity)
         mix(self.part.size, self.wet, self.moved, -self.moved, self.lift(velocity), self.now, change)
-        return -self.part.divergence(change, np.empty(len(self.P))) / self.stiffness
+        s, wet, flux = self.part.space, np.flatnonzero(self.dry == 0), np.zeros(len(self.P))
+        lists = s.cell_nodes[wet], s.cell_pressures[wet], s.coefficients[wet]
+        pressure.add_divergence(self.part.shape, *lists, change, flux)
+        return -self.part.sum_dofs(flux)[self.soft] / self.stiffness[self.soft]
 
     def targets(self, U, before, ghost, dt):
         """P* and S (nq,) of the gas and the ghost matrix together. Collective."""
@@ -320,7 +335,8 @@ class Mixture(Stages):
         gas, solid = inverse.copy(), np.zeros(len(inverse))
         gas[wet] *= self.theta[wet]
         solid[wet] = self.moved[wet] ** 2 * self.inverse[wet]
-        both = np.maximum(gas + solid, 1e-300)
+        both = gas.copy()
+        both[wet] = np.maximum(gas[wet] + solid[wet], 1e-300)
         blocks = gas[special, None, None] * tensors + solid[special, None, None] * self.walls
         fused = both, special, blocks / both[special, None, None]
         if self.ends is None:
@@ -335,9 +351,10 @@ class Mixture(Stages):
 
     def work(self, old, new, gas, ghost, internal, dt):
         """(n,) power of the pressure on the gas of each node, `lost` counting the rest. Collective."""
-        part, s, out = self.part, self.part.space, np.zeros(len(self.theta))
-        growth = self.compliance * (ghost - self.P) / (dt * s.pressure_volumes)
+        part, s, soft = self.part, self.part.space, self.soft
+        out, rate = np.zeros(len(self.theta)), np.empty(len(self.P))
+        rate[soft] = self.compliance[soft] / (dt * s.pressure_volumes[soft])
         lists = s.cell_nodes, s.cell_pressures, s.coefficients, s.weights, s.cell_volumes, self.dry
         shares = self.theta, self.moved, internal, gas, old, new
-        self.lost += dt * add_work(part.shape, *lists, self.P, growth, *shares, out)
+        self.lost += dt * add_work(part.shape, *lists, self.P, ghost, rate, *shares, out)
         return part.sum_nodes(out)

@@ -106,6 +106,12 @@ class Part:
         squares = sum(np.bincount(place.ravel(), flat[:, a], len(keys)) ** 2 for a in range(s.dim))
         return keys % len(s.points), keys // len(s.points), squares
 
+    def find(self, nodes):
+        """Local numbers of nodes (k,) of the whole, and which of them this rank has, (k,) bool."""
+        at = np.searchsorted(self.nodes, nodes)
+        at[at == len(self.nodes)] = 0
+        return at, self.nodes[at] == nodes
+
     def sum_nodes(self, array):
         """Add what the other ranks hold for my nodes to `array` (n, ...), in place. Collective."""
         return self.add_borders(array, self.node_borders)

@@ -180,10 +180,11 @@ class Sharp(Mixture):
         lists = s.cell_nodes, s.cell_pressures, s.coefficients, s.weights, s.cell_volumes
         pressures, nothing = np.where(self.of_gas, self.P, 0.0), np.zeros(len(self.P))
         dry = np.ones(len(self.P), np.uint8)
-        add_work(part.shape, *lists, dry, pressures, nothing, ones, 0 * ones, internal, gas, gas, gas, out)
+        add_work(
+            part.shape, *lists, dry, pressures, nothing, nothing, ones, 0 * ones, internal, gas, gas, gas, out
+        )
         return out - self.h * np.sum(self.normal * solid, axis=1)
 
     def kicked(self, velocity):
-        change = velocity - self.now
-        flux = self.part.divergence(change, np.empty(len(self.P)))
-        return -np.where(self.of_gas, 0.0, flux) / self.stiffness
+        flux = self.part.divergence(velocity - self.now, np.empty(len(self.P)))
+        return (-np.where(self.of_gas, 0.0, flux) / self.stiffness)[self.soft]

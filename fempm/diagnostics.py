@@ -72,24 +72,26 @@ def vertex_fields(simulation):
     """Mass (nv,) and velocity (nv, d) on the mesh's vertices, zero without particles."""
     simulation.particle_to_grid()
     boundaries.fold(simulation, boundaries.wall_motion(simulation, 0.0)[0][0])
-    mass, velocity = at_vertices(simulation)
-    return {"mass": mass, "velocity": velocity}
+    at, *values = at_vertices(simulation)
+    fields = {}
+    for name, found in zip(("mass", "velocity"), values, strict=True):
+        fields[name] = np.zeros((len(simulation.mesh.points), *found.shape[1:]))
+        fields[name][at] = found
+    return fields
 
 
 def at_vertices(simulation):
-    """Mass (nv,) and velocity (nv, d) of folded sums that ranks have not yet shared, of all ranks together.
+    """Vertices (k,), with their mass (k,) and velocity (k, d), of folded sums that ranks have not yet shared.
 
-    Where there is too little mass the velocity is zero.
+    Those of all ranks together, except where there is next to no mass.
     """
     s, nv, d = simulation, len(simulation.mesh.points), simulation.mesh.dim
     fields, at = np.zeros((nv, 1 + d)), s.vertices[: s.num_vertices]
     at = at[at < nv]
     fields[at] = s.grids[0, at, : 1 + d]
     fields = s.ranks.sum(fields)
-    mass, velocity = fields[:, 0], np.zeros((nv, d))
-    seen = np.flatnonzero(mass > s.smallest_mass)
-    velocity[seen] = fields[seen, 1:] / mass[seen, None]
-    return mass, velocity
+    seen = np.flatnonzero(fields[:, 0] > s.smallest_mass)
+    return seen, fields[seen, 0], fields[seen, 1:] / fields[seen, :1]
 
 
 def active_parts(simulation):

@@ -150,8 +150,8 @@ def test_states_are_shared_and_kept():
     merging.settle(np.arange(6), held, theta, start, adjacent, root)
     assert root.tolist() == [0, 0, 0, 0, 4, -1]
     assert theta.tolist() == [1.0, 0.4, 0.2, 0.0, merging.POCKET, 0.0]
-    totals = merging.share_states(root[:4], theta[:4], np.array([[2.0], [1.0], [0.0], [0.2]]))
-    np.testing.assert_allclose(totals[:, 0], 3.2 / 1.6 * theta[:4])
+    means = merging.means(root[:4], theta[:4], np.array([[2.0], [1.0], [0.0], [0.2]]))
+    np.testing.assert_allclose(means[:, 0], 3.2 / 1.6)
 
 
 def test_a_vertex_opens_only_beside_gas():

@@ -17,14 +17,12 @@ class MpmFirst(Coupled):
     """Stress, gravity and walls of the solid before the coupled solve (the order of Fang et al. 2020)."""
 
     def solid_at_vertices(self, dt):
-        mass, velocity = super().solid_at_vertices(dt)
-        solid, at = self.solid, self.solid_vertices()
-        solid.update_grid(dt)
-        velocity[at] = np.where(mass[at, None] > 0, solid.velocity[at], 0)
-        return mass, velocity
+        vertices, mass, _ = super().solid_at_vertices(dt)
+        self.solid.update_grid(dt)
+        return vertices, mass, self.solid.velocity[vertices]
 
-    def push_solid(self, mass, dt):
-        super().push_solid(mass, dt)
+    def push_solid(self, dt):
+        super().push_solid(dt)
         self.pushed = self.stages.now.copy()
 
     def one_step(self, U, dt, scheme=None, limiter=None):

@@ -144,10 +144,8 @@ def cost(h, rounds=8, steps=10):
             spent.clear()
             begin = time.process_time()
             for _ in range(steps):
-                scene.stable_step()
-                scene.dt = coupled.dt or coupled.stable_step()
-                if scene is coupled:
-                    scene.dt = coupled.stable_step()
+                own = scene.stable_step()
+                scene.dt = own if scene is coupled else coupled.dt
                 scene.step(scene.dt)
             seconds = time.process_time() - begin
             if k and seconds < best[i]:
