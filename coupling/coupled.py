@@ -239,7 +239,7 @@ class Coupled(Flow):
         self.stages.begin(theta, openness, flat, start, inverse, *cells)
 
     def filled_cells(self, theta, compliance, ghost):
-        """What `Mixture.begin` needs of cells: filled, ghost, soft and dry, from nodal values. Collective.
+        """What `Mixture.begin` needs of cells: filled, ghost, taken, soft and dry. Collective.
 
         The ghost's pressure is the mean over the particles by the same weights with which `squeeze` hands
         its change back to them, so that it takes that up; the mean over the nodes is for cells without any.
@@ -259,7 +259,7 @@ class Coupled(Flow):
         sums = self.ranks.sum(own)[part.dofs] if self.ranks.size > 1 else own
         mean = np.zeros(len(filled))
         merging.divide(soft, sums, filled, mean)
-        return filled, mean, soft, dry
+        return filled, mean, sums[:, 0], soft, dry
 
     def particle_pressures(self):
         """Dofs (np, k) of the cells of the particles, the particles' weights there, and p_g (np,)."""

@@ -190,7 +190,7 @@ class Mixture(Stages):
         self.place = np.full(len(self.part.nodes), -1, np.int32)
         self.place[special] = np.arange(len(special))
 
-    def begin(self, theta, openness, flat, velocity, inverse_mass, filled, ghost, soft, dry):
+    def begin(self, theta, openness, flat, velocity, inverse_mass, filled, ghost, taken, soft, dry):
         """Take up the solid at the start of a step.
 
         Parameters
@@ -199,6 +199,7 @@ class Mixture(Stages):
         flat : nodes beside closed ones, where states are not reconstructed
         velocity, inverse_mass : (n, d), (n,) of the solid, at vertices
         filled : (nq, 2 or more) int alpha and int alpha / (lambda_g J_g); ghost : (nq,) pressure p_g
+        taken : (nq,) sums of V / lambda_g of the particles, with which their ghost matrix takes a change up
         soft, dry : see above
         """
         s = self.part.space
@@ -211,7 +212,7 @@ class Mixture(Stages):
         self.moved = np.zeros(len(theta))
         self.moved[self.wet] = (1 - theta[self.wet]) * (self.inverse[self.wet] > 0)
         self.pushed = self.wet if self.ends is None else np.flatnonzero(inverse_mass)
-        self.soft, self.dry = soft, dry
+        self.taken, self.soft, self.dry = taken, soft, dry
         self.compliance, self.gas_volume = np.zeros(len(filled)), s.pressure_volumes.copy()
         self.compliance[soft] = filled[soft, 1]
         left = s.pressure_volumes[soft] - filled[soft, 0]
@@ -353,7 +354,7 @@ class Mixture(Stages):
         """(n,) power of the pressure on the gas of each node, `lost` counting the rest. Collective."""
         part, s, soft = self.part, self.part.space, self.soft
         out, rate = np.zeros(len(self.theta)), np.empty(len(self.P))
-        rate[soft] = self.compliance[soft] / (dt * s.pressure_volumes[soft])
+        rate[soft] = self.taken[soft] / (dt * s.pressure_volumes[soft])
         lists = s.cell_nodes, s.cell_pressures, s.coefficients, s.weights, s.cell_volumes, self.dry
         shares = self.theta, self.moved, internal, gas, old, new
         self.lost += dt * add_work(part.shape, *lists, self.P, ghost, rate, *shares, out)
