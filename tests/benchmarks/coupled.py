@@ -71,14 +71,21 @@ def cylinder(h, **options):
 
 
 def cylinders(sizes, until=(0.15, 0.3), solvers=tuple(SOLVERS)):
-    """Rows: solver, mesh size, centre at two times, its distance from the finest mesh's, CPU seconds."""
+    """Rows: solver, mesh size, centre at two times, its distance from the finest mesh's, CPU seconds.
+
+    Where a run ends with an error, it is printed and what it did not reach is nan.
+    """
     rows = []
     for solver in solvers:
         for h in sizes:
             scene, places = cylinder(h, **SOLVERS[solver]), []
             begin = time.process_time()
-            for t in until:
-                places.append(centre(advance(scene, t)))
+            try:
+                for t in until:
+                    places.append(centre(advance(scene, t)))
+            except fempm.SimulationError as error:
+                print(f"{solver}, {0.2 / h:.0f} cells: {error}", flush=True)
+                places += [np.full(2, np.nan)] * (len(until) - len(places))
             row = {"case": "cylinder", "solver": solver, "cells": round(0.2 / h)}
             row |= {f"{a}({t:g})": c for t, x in zip(until, places) for a, c in zip("xy", x)}
             rows.append(row | {"steps": scene.steps, "cpu_s": time.process_time() - begin})
