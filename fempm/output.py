@@ -50,6 +50,11 @@ def _attribute(name, a, n, d):
     raise ValueError(f"{name}: shape {a.shape} is none of ({n},), ({n}, {d}), ({n}, {d}, {d})")
 
 
+def _fields(centre, folder, arrays, n, d):
+    """(centre, folder, name, kind, padded array) of each of a dict of fields."""
+    return [(centre, folder, name, *_attribute(name, a, n, d)) for name, a in arrays.items()]
+
+
 def _points(x):
     x = _numbers("positions", x)
     if x.ndim != 2 or x.shape[1] not in (1, 2, 3):
@@ -131,7 +136,7 @@ class _Series(_Closing):
         item.text = f"{self.path.stem}.h5:/{key}"
 
     def _write(self, t, points, cells, fields):
-        """Add a frame; points and cells are (key, array), fields (centre, name, kind, array)."""
+        """Add a frame; points and cells are (key, array), fields (centre, folder, name, kind, array)."""
         grid = ET.Element("Grid", Name=self.path.stem, GridType="Uniform")
         ET.SubElement(grid, "Time", Value=repr(float(t)))
         m = cells[1].shape[1]
@@ -140,10 +145,10 @@ class _Series(_Closing):
         topology.set("NumberOfElements", str(len(cells[1])))
         self._item(topology, *cells)
         self._item(ET.SubElement(grid, "Geometry", GeometryType="XYZ"), *points)
-        for centre, name, kind, a in fields:
+        for centre, folder, name, kind, a in fields:
             attribute = ET.SubElement(grid, "Attribute", Name=name, Center=centre)
             attribute.set("AttributeType", kind)
-            self._item(attribute, f"{len(self.times)}/{centre}/{name}", a)
+            self._item(attribute, f"{folder}/{name}", a)
         self._h5.flush()
         frame = ET.tostring(grid, encoding="utf-8") + b"\n"
         text = frame + self._TAIL if self.times else self._HEAD + frame + self._TAIL
@@ -170,11 +175,10 @@ class ParticleFile(_Series):
     Parameters
     ----------
     path : path ending in ``.xdmf``
-        The arrays go to the same name ending in ``.h5``; missing folders are made, old files
-        replaced.
+        The arrays go to the same name ending in ``.h5``; missing folders are made, old files replaced.
     keep_before : float, optional
-        Go on with old files after their frames before this time, and drop the later ones; files
-        that cannot be read are replaced with a warning.
+        Go on with old files after their frames before this time, and drop the later ones; files that
+        cannot be read are replaced with a warning.
 
     Attributes
     ----------
@@ -197,8 +201,8 @@ class ParticleFile(_Series):
         x : (n, d) array
             Positions in m, d = 1, 2 or 3.
         **fields : (n,), (n, d) or (n, d, d) array
-            Scalars, vectors and tensors (9 components, row by row), real or integer, in any unit.
-            Vectors and tensors may also have 3 components a direction when d < 3.
+            Scalars, vectors and tensors (9 components, row by row), real or integer, in any unit; vectors
+            and tensors may also have 3 components a direction when d < 3.
 
         Raises
         ------
@@ -206,9 +210,8 @@ class ParticleFile(_Series):
             If a shape, number type or field name does not fit; nothing is written then.
         """
         x = _points(x)
-        n, d = x.shape
-        fields = [("Node", name, *_attribute(name, a, n, d)) for name, a in fields.items()]
-        k = len(self.times)
+        k, n = len(self.times), len(x)
+        fields = _fields("Node", f"{k}/Node", fields, *x.shape)
         cells = np.arange(n, dtype=np.int64)[:, None]
         self._write(t, (f"{k}/points", _pad(x, (3,))), (f"cells/{n}", cells), fields)
 
@@ -217,31 +220,33 @@ class MeshFile(_Series):
     """Time series of fields on a simplex mesh for ParaView: XDMF with the arrays in HDF5.
 
     The mesh is stored once; the files are complete after every `write`, as in `ParticleFile`.
-    ``meshio.xdmf.TimeSeriesReader`` reads it as usual (`read_points_cells`, then `read_data`).
+    ``meshio.xdmf.TimeSeriesReader`` reads it (`read_points_cells`, then `read_data`).
 
     Parameters
     ----------
-    path : path ending in ``.xdmf``
-        The arrays go to the same name ending in ``.h5``.
+    path : as in `ParticleFile`
     points : (nv, d) array
         Vertex positions in m, d = 1, 2 or 3.
     cells : (nc, d + 1) integer array
         Vertices of the intervals, triangles or tetrahedra.
     keep_before : float, optional
-        As in `ParticleFile`.
+        As in `ParticleFile`; the mesh and the static fields stay those of the old files.
+    static : dict of name to (nv,), (nv, d) or (nv, d, d) array, optional
+        Fields on vertices that do not change: stored once, part of every frame.
 
     Raises
     ------
     ValueError
-        If ``path`` does not end in ``.xdmf``, or a shape does not fit.
+        If ``path`` does not end in ``.xdmf``, or a shape, number type or name does not fit.
     """
 
-    def __init__(self, path, points, cells, keep_before=-np.inf):
+    def __init__(self, path, points, cells, keep_before=-np.inf, static=None):
         points, cells = _points(points), _numbers("cells", cells)
         self._nv, self._d = points.shape
         self._mesh = ("points", _pad(points, (3,))), ("cells", cells)
         if cells.ndim != 2 or cells.shape[1] != self._d + 1 or cells.dtype.kind != "i":
             raise ValueError(f"cells: {cells.dtype} {cells.shape}, not integer (nc, {self._d + 1})")
+        self._static = _fields("Node", "static", static or {}, self._nv, self._d)
         super().__init__(path, keep_before)
 
     def write(self, t, /, *, cell_fields=None, **vertex_fields):
@@ -261,11 +266,12 @@ class MeshFile(_Series):
         ValueError
             If a shape, number type or field name does not fit; nothing is written then.
         """
-        nv, nc, d = self._nv, len(self._mesh[1][1]), self._d
-        fields = [("Node", name, *_attribute(name, a, nv, d)) for name, a in vertex_fields.items()]
-        for name, a in (cell_fields or {}).items():
-            fields.append(("Cell", name, *_attribute(name, a, nc, d)))
-        self._write(t, *self._mesh, fields)
+        k, d = len(self.times), self._d
+        for name in {field[2] for field in self._static} & set(vertex_fields):
+            raise ValueError(f"{name}: this field is static and cannot be written in a frame")
+        fields = _fields("Node", f"{k}/Node", vertex_fields, self._nv, d)
+        fields += _fields("Cell", f"{k}/Cell", cell_fields or {}, len(self._mesh[1][1]), d)
+        self._write(t, *self._mesh, self._static + fields)
 
 
 class TimeLog(_Closing):
@@ -276,8 +282,8 @@ class TimeLog(_Closing):
     path : path
         Missing folders are made, an old file is replaced.
     keep_before : int, optional
-        Go on with an old file after its rows before this step, and drop the later ones; a file that
-        cannot be read is replaced with a warning.
+        Go on with an old file after its rows before this step, drop the later ones; a file that cannot be
+        read is replaced with a warning.
 
     Attributes
     ----------

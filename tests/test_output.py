@@ -81,6 +81,39 @@ def test_mesh_file_stores_the_mesh_once(tmp_path, d):
     assert len(found) == 2 + 3 * 3
 
 
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_static_fields_are_stored_once_and_named_in_every_frame(tmp_path, d):
+    """Also those of a continued file, which may be given them again."""
+    points, cells, _ = SIMPLEX[d]
+    static = {"node_type": np.arange(len(points)) % 3, "rest": 2 * np.array(points)}
+    for keep in (-np.inf, 1.5):
+        with MeshFile(tmp_path / "m.xdmf", points, cells, keep, static=static) as f:
+            for k in range(len(f.times), 4):
+                f.write(k, p=np.full(len(points), k))
+    with meshio.xdmf.TimeSeriesReader(tmp_path / "m.xdmf") as r:
+        r.read_points_cells()
+        for k in range(4):
+            t, fields, _ = r.read_data(k)
+            assert t == k and set(fields) == {"node_type", "rest", "p"} and np.all(fields["p"] == k)
+            assert fields["node_type"].dtype.kind == "i"
+            assert np.array_equal(fields["node_type"], static["node_type"])
+            assert np.array_equal(fields["rest"][:, :d], static["rest"])
+        assert r.num_steps == 4
+    with h5py.File(tmp_path / "m.h5") as h:
+        assert set(h) == {"points", "cells", "static", *"0123"}
+        assert set(h["static"]) == set(static) and all(set(h[f"{k}/Node"]) == {"p"} for k in range(4))
+
+
+def test_bad_static_fields(tmp_path):
+    points, cells, _ = SIMPLEX[2]
+    with pytest.raises(ValueError, match="node_type: shape"):
+        MeshFile(tmp_path / "m.xdmf", points, cells, static={"node_type": np.zeros(3)})
+    with MeshFile(tmp_path / "m.xdmf", points, cells, static={"node_type": np.zeros(4)}) as f:
+        with pytest.raises(ValueError, match="node_type: this field is static"):
+            f.write(0, node_type=np.zeros(4))
+        assert not (tmp_path / "m.xdmf").exists()
+
+
 def test_plane_strain_tensors_keep_their_third_direction(tmp_path):
     s = np.random.default_rng(0).normal(size=(4, 3, 3))
     with ParticleFile(tmp_path / "p.xdmf") as f:

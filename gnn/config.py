@@ -1,0 +1,133 @@
+"""Settings of a training: a dataclass, presets for the data sets, overridden from the command line."""
+
+import argparse
+import dataclasses
+from dataclasses import dataclass
+
+from .graph import HANDLE, NORMAL, OBSTACLE, OUTFLOW
+
+
+@dataclass
+class Config:
+    """What is learned, by which model, and how (thesis tables 4.1, 4.2, 4.4).
+
+    Attributes
+    ----------
+    data : folder of trajectories, *.xdmf; the last `held_out` of them in order of name are not trained on
+    fields : fields whose change in a step is learned; at once inputs
+    direct : fields that are predicted as they are, from the others
+    position : field of the world positions when bodies deform, their change is learned then; "" for none
+    predicted : node types that are learned; all others are prescribed
+    moving : node types with a motion that is prescribed, an input when bodies deform
+    noise : standard deviation of what is added to each of the fields, or to the positions, in their unit
+    contact_radius : distance below which nodes of deforming bodies are in contact; 0 for no contact edges
+    model, latent, depth, transition, steps_flat : see `models.make_model`
+    seeding, top_up : see `hierarchy.build_hierarchy`
+    batch : meshes in a step; steps : of the training
+    rate, last_rate : of Adam at the start and, after an exponential decay, at the end
+    weight_decay, clip : of AdamW; largest norm of the gradient
+    minutes : stop after that long, with the schedule by time; 0 for `steps`
+    look_every, look_steps : how often to roll a held-out trajectory out, and how far
+    save_minutes : between checkpoints
+    checkpointing : activations are computed again instead of stored, for big meshes
+    """
+
+    data: str = "results/cylinder"
+    fields: tuple[str, ...] = ("velocity",)
+    direct: tuple[str, ...] = ()
+    position: str = ""
+    predicted: tuple[int, ...] = (NORMAL, OUTFLOW)
+    moving: tuple[int, ...] = ()
+    noise: tuple[float, ...] = (0.02,)
+    contact_radius: float = 0.0
+    held_out: int = 2
+    model: str = "bsms"
+    latent: int = 128
+    depth: int = 6
+    transition: str = "contribution"
+    steps_flat: int = 15
+    seeding: str = "min_average"
+    top_up: bool = True
+    batch: int = 4
+    steps: int = 100_000
+    rate: float = 1e-3
+    last_rate: float = 1e-5
+    weight_decay: float = 0.0
+    clip: float = 1.0
+    minutes: float = 0.0
+    seed: int = 0
+    look_every: int = 1000
+    look_steps: int = 50
+    save_minutes: float = 5.0
+    checkpointing: bool = False
+
+    def __post_init__(self):
+        state = (self.position,) if self.position else self.fields
+        if not state:
+            raise ValueError("config: give `fields` or `position`, what is to be learned")
+        if len(self.noise) != len(state):
+            raise ValueError(f"config: noise {self.noise}, give one for each of {state}")
+        if self.contact_radius and not self.position:
+            raise ValueError("config: contact edges need the `position` of the deforming bodies")
+        for name in ("latent", "batch", "steps", "rate", "last_rate", "clip"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"config: {name} {getattr(self, name)} must be positive")
+
+    @property
+    def state(self):
+        """Names of the fields that a step goes on from."""
+        return (self.position,) if self.position else self.fields
+
+
+PRESETS = {
+    "cylinder": {},
+    "airfoil": {
+        "fields": ("density", "velocity"),
+        "direct": ("pressure",),
+        "predicted": (NORMAL,),
+        "noise": (0.01, 0.02),
+    },
+    "plate": {
+        "fields": (),
+        "position": "position",
+        "predicted": (NORMAL,),
+        "moving": (OBSTACLE, HANDLE),
+        "noise": (3e-4,),
+        "contact_radius": 0.03,
+    },
+    "font": {
+        "fields": (),
+        "position": "position",
+        "predicted": (NORMAL,),
+        "noise": (1e-3,),
+        "contact_radius": 0.03,
+    },
+}
+
+
+def preset(name, **changes):
+    """Config of one of `PRESETS`, with changes."""
+    if name not in PRESETS:
+        raise ValueError(f"preset {name!r}: there are {', '.join(PRESETS)}")
+    return Config(**(PRESETS[name] | {"data": f"results/{name}"} | changes))
+
+
+def add_arguments(parser):
+    """An option for every setting, without default: only what is given changes the preset."""
+    for field in dataclasses.fields(Config):
+        kind = type(field.default)
+        name, own = f"--{field.name.replace('_', '-')}", {"dest": field.name, "default": None}
+        if kind is bool:
+            parser.add_argument(name, action=argparse.BooleanOptionalAction, **own)
+        elif kind is tuple:
+            inner = {"noise": float, "predicted": int, "moving": int}.get(field.name, str)
+            parser.add_argument(name, nargs="*", type=inner, metavar=field.name.upper(), **own)
+        else:
+            parser.add_argument(name, type=kind, metavar=str(field.default) or "NAME", **own)
+
+
+def from_arguments(args):
+    """Config of parsed arguments: the preset with what was given."""
+    given = {f.name: getattr(args, f.name) for f in dataclasses.fields(Config)}
+    changes = {k: tuple(v) if isinstance(v, list) else v for k, v in given.items() if v is not None}
+    return preset(args.preset, **changes)

@@ -1,0 +1,219 @@
+"""Networks of two hidden layers and the message passing of equation (4.2), the hot path of every model."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import nn
+from torch.nn import functional as F
+from torch.utils.checkpoint import checkpoint
+
+EPS = 1e-5  # in the normalisation of the layers
+CHUNK = 2048  # edges worked on at once, so that what belongs to them stays in the cache of a core
+
+
+class MLP(nn.Module):
+    """Two hidden layers with ReLU, and a LayerNorm without parameters on what comes out (thesis 4.4.2.1).
+
+    Parameters
+    ----------
+    inputs, outputs, latent : widths
+    normalised : False for decoders
+    """
+
+    def __init__(self, inputs, outputs, latent, normalised=True):
+        super().__init__()
+        self.first, self.second = nn.Linear(inputs, latent), nn.Linear(latent, latent)
+        self.last, self.normalised = nn.Linear(latent, outputs), normalised
+
+    def forward(self, x):
+        """(n, inputs) -> (n, outputs)."""
+        return self.after_first(self.first(x))
+
+    def after_first(self, z):
+        """The same, from what the first layer returns."""
+        y = self.last(F.relu(self.second(F.relu(z))))
+        return F.layer_norm(y, y.shape[1:], eps=EPS) if self.normalised else y
+
+    def split(self, *parts):
+        """What the first layer returns for `parts` side by side, without putting them there."""
+        weights = self.first.weight.split([p.shape[1] for p in parts], dim=1)
+        z = F.linear(parts[0], weights[0], self.first.bias)
+        for part, weight in zip(parts[1:], weights[1:]):
+            z = z + F.linear(part, weight)
+        return z
+
+
+@dataclass
+class EdgeSet:
+    """Directed edges of one kind on one level, in the order of their receivers.
+
+    Attributes
+    ----------
+    senders, receivers : (E,) int64
+    num_nodes : int
+    offsets : (E, k) differences of positions from the receiver to the sender, and their lengths
+    """
+
+    senders: torch.Tensor
+    receivers: torch.Tensor
+    num_nodes: int
+    offsets: torch.Tensor
+
+    @cached_property
+    def start(self):
+        """(n,) where the edges of each receiver begin."""
+        counts = torch.bincount(self.receivers, minlength=self.num_nodes)
+        return counts.cumsum(0) - counts
+
+    @cached_property
+    def chunks(self):
+        """Slices of receivers and of their edges, about `CHUNK` of these in each."""
+        edges = len(self.receivers)
+        marks = torch.searchsorted(self.start, CHUNK * torch.arange(1, edges // CHUNK + 1)).tolist()
+        nodes = sorted({0, *marks, self.num_nodes})
+        ends = [*self.start[nodes[:-1]].tolist(), edges]
+        return [(slice(*n), slice(*e)) for n, e in zip(zip(nodes, nodes[1:]), zip(ends, ends[1:]))]
+
+
+def edge_set(senders, receivers, *positions):
+    """EdgeSet with the offsets, and their lengths, of each of the positions (n, d)."""
+    offsets = []
+    for x in positions:
+        offset = x.index_select(0, senders) - x.index_select(0, receivers)
+        offsets += [offset, offset.norm(dim=1, keepdim=True)]
+    return EdgeSet(senders, receivers, len(positions[0]), torch.cat(offsets, dim=1))
+
+
+def offset_widths(dim, contact, world):
+    """Widths of the offsets of each edge set (thesis table 4.2)."""
+    return ((dim + 1) * (2 if world else 1),) + (dim + 1,) * contact
+
+
+def check_batch(batch, contact, world):
+    """Raise a ValueError where a batch is not of the kind a model is made for."""
+    if world and batch.world is None:
+        raise ValueError("model with world=True: the batch has no positions `world`, give them to `single`")
+    if contact != (batch.levels[0].contact is not None):
+        has = "no" if contact else "some"
+        raise ValueError(f"model with contact={contact}: the batch has {has} contact edges, make them agree")
+
+
+def level_edges(level, material, world, with_world):
+    """Edge sets of a LevelGraph with positions (n, d) there: the mesh's, and the contact edges it has."""
+    sets = [edge_set(level.senders, level.receivers, material, *([world] if with_world else []))]
+    if level.contact is not None:
+        sets.append(edge_set(*level.contact, material if world is None else world))
+    return sets
+
+
+class EdgeSum(torch.autograd.Function):
+    """Sums over the edges of each receiver of a network's normalised output, from its first layer on.
+
+    Chunk by chunk; what has a row per edge is stored after the second layer and after the last, nothing else.
+    Weights and bias of the last layer must have mean zero over its outputs: then the LayerNorm is a division
+    by the root of the mean square, and this the weight of a row in its sum.
+    """
+
+    @staticmethod
+    def hidden(edges, e, p, q, weight):
+        """What a chunk e of edges has after the first layer."""
+        h = q.index_select(0, edges.senders[e]).add_(p.index_select(0, edges.receivers[e]))
+        return h.addmm_(edges.offsets[e], weight.t()).relu_()
+
+    @staticmethod
+    def forward(ctx, edges, keep, p, q, weight, second, bias, last, last_bias):
+        size, latent = len(edges.receivers) if keep else 0, len(last)
+        hidden, values, scales = (p.new_empty(size, width) for width in (len(second), latent, 1))
+        out = p.new_empty(edges.num_nodes, latent)
+        for n, e in edges.chunks:
+            h = EdgeSum.hidden(edges, e, p, q, weight)
+            k = torch.addmm(bias, h, second.t(), out=hidden[e] if keep else None).relu_()
+            y = torch.addmm(last_bias, k, last.t(), out=values[e] if keep else None)
+            scale = (torch.linalg.vecdot(y, y) / latent + EPS).rsqrt_()
+            out[n] = row_sums(y, edges.start[n] - e.start, scale)
+            if keep:
+                scales[e, 0] = scale
+        ctx.edges = edges
+        ctx.save_for_backward(p, q, weight, second, bias, last, last_bias, hidden, values, scales)
+        return out
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx, gradient):
+        edges = ctx.edges
+        *inputs, hidden, values, scales = ctx.saved_tensors
+        p, q, weight, second, _, last, _ = inputs
+        dp, dq, dweight, dsecond, dbias, dlast, dlast_bias = grads = [torch.zeros_like(x) for x in inputs]
+        for n, e in edges.chunks:
+            h, k, y, scale = EdgeSum.hidden(edges, e, p, q, weight), hidden[e], values[e], scales[e]
+            g = gradient.index_select(0, edges.receivers[e])
+            along = torch.linalg.vecdot(g, y)[:, None] * scale**2 / len(last)
+            g.addcmul_(y, along, value=-1).mul_(scale)
+            dlast.addmm_(g.t(), k)
+            dlast_bias += g.sum(0)
+            g = torch.ops.aten.threshold_backward(g @ last, k, 0)
+            dsecond.addmm_(g.t(), h)
+            dbias += g.sum(0)
+            g = torch.ops.aten.threshold_backward(g @ second, h, 0)
+            dweight.addmm_(g.t(), edges.offsets[e])
+            dp[n] = row_sums(g, edges.start[n] - e.start)
+            dq.index_add_(0, edges.senders[e], g)
+        return None, None, *grads
+
+
+def row_sums(x, start, weights=None):
+    """Sums of the rows of x from each of `start` to the next."""
+    rows = torch.arange(len(x))
+    return F.embedding_bag(rows, x, start, mode="sum", per_sample_weights=weights)
+
+
+def fused(v, edges):
+    """Whether `EdgeSum` can be used: only there is it faster, and its chunks are for caches of processors."""
+    simple = not (torch.compiler.is_compiling() or torch.is_autocast_enabled(v.device.type))
+    return simple and v.device.type == "cpu" and not edges.offsets.requires_grad
+
+
+def edge_sums(mlp, v, edges):
+    """Sum (n, latent) over the edges into each node of mlp([offsets, v of receiver, v of sender]).
+
+    The first layer is linear: its products with v are taken once for every node, not for every edge.
+    """
+    offsets, latent = edges.offsets.shape[1], v.shape[1]
+    weight, to_receiver, to_sender = mlp.first.weight.split([offsets, latent, latent], dim=1)
+    p, q = F.linear(v, to_receiver, mlp.first.bias), F.linear(v, to_sender)
+    if fused(v, edges):
+        second, last = mlp.second, mlp.last
+        centred = last.weight - last.weight.mean(0), last.bias - last.bias.mean()
+        keep = torch.is_grad_enabled()
+        return EdgeSum.apply(edges, keep, p, q, weight, second.weight, second.bias, *centred)
+    z = p.index_select(0, edges.receivers) + q.index_select(0, edges.senders)
+    y = mlp.after_first(z + F.linear(edges.offsets, weight))
+    return y.new_zeros(edges.num_nodes, y.shape[1]).index_add_(0, edges.receivers, y)
+
+
+class MessagePassing(nn.Module):
+    """One message passing without latents on edges, equation (4.2).
+
+    Parameters
+    ----------
+    latent : width of the latents of nodes
+    widths : of the offsets of each edge set, see `offset_widths`
+    checkpointing : activations are computed again in the backward pass instead of stored
+    """
+
+    def __init__(self, latent, widths, checkpointing=False):
+        super().__init__()
+        self.edges = nn.ModuleList(MLP(k + 2 * latent, latent, latent) for k in widths)
+        self.nodes = MLP((1 + len(widths)) * latent, latent, latent)
+        self.checkpointing = checkpointing
+
+    def forward(self, v, sets):
+        """Latents (n, latent) after messages along the edges of each EdgeSet."""
+        if self.checkpointing and torch.is_grad_enabled():
+            return checkpoint(self.update, v, sets, use_reentrant=False)
+        return self.update(v, sets)
+
+    def update(self, v, sets):
+        sums = [edge_sums(mlp, v, edges) for mlp, edges in zip(self.edges, sets)]
+        return v + self.nodes.after_first(self.nodes.split(v, *sums))

@@ -1,0 +1,113 @@
+"""Rollouts: the learned step again and again, its errors beside the truth, and files of both."""
+
+import time
+
+import numpy as np
+import torch
+
+from .trajectory import write_trajectory
+
+BOUNDARY = ("prescribed", "frozen")
+
+
+def rollout(predictor, meshes, i, steps=None, start=0, boundary="prescribed"):
+    """States that the network predicts from one frame of a trajectory on.
+
+    Parameters
+    ----------
+    predictor : Predictor
+    meshes : samples.Meshes; i : which of its trajectories
+    steps : how many, to its end when not given; start : frame to start from
+    boundary : where nodes are not predicted, "prescribed" takes the truth, "frozen" that of the first frame
+
+    Returns
+    -------
+    (steps + 1, n, c) states, the first one true; (steps, n, m) direct fields; seconds for a step
+    """
+    if boundary not in BOUNDARY:
+        raise ValueError(f"boundary {boundary!r}: give one of {', '.join(map(repr, BOUNDARY))}")
+    trajectory = meshes[i][0]
+    most = len(trajectory) - 1 - start
+    steps = most if steps is None else min(steps, most)
+    if steps < 1:
+        raise ValueError(f"start {start}: {trajectory.path} has {len(trajectory)} frames")
+    device = next(predictor.parameters()).device
+    learned = torch.from_numpy(meshes.learned(i)).to(device)
+    state = torch.from_numpy(meshes.state(i, start)).to(device)
+    deforms, batch = bool(predictor.config.position), None
+    states, directs, begin = [state.cpu().numpy()], [], time.perf_counter()
+    with torch.no_grad():
+        for k in range(start, start + steps):
+            if batch is None or deforms:
+                batch = meshes.batch(i, state.cpu().numpy() if deforms else None).to(device)
+            motion = torch.from_numpy(meshes.motion(i, k)).to(device) if deforms else None
+            new, direct = predictor.step(batch, state, motion)
+            given = state if boundary == "frozen" else torch.from_numpy(meshes.state(i, k + 1)).to(device)
+            state = torch.where(learned[:, None], new, given)
+            states.append(state.cpu().numpy())
+            directs.append(direct.cpu().numpy())
+    seconds = (time.perf_counter() - begin) / steps
+    return np.array(states), np.array(directs), seconds
+
+
+def rmse(a, b):
+    """Root of the mean squared difference."""
+    return float(np.sqrt(np.mean((np.asarray(a, float) - b) ** 2)))
+
+
+def evaluate(predictor, meshes, steps=None, start=0, only=None, every=1, boundary="prescribed"):
+    """Errors over trajectories, of the predicted nodes in the units of the state, beside persistence.
+
+    Persistence predicts that nothing changes.
+
+    Parameters
+    ----------
+    only : numbers of the trajectories, all by default
+    every : of the frames, each one of which this many is a start of a single step
+
+    Returns
+    -------
+    dict
+        rmse_1 : of a single step from true states, over all frames
+        rmse_50, rmse_last : of the rollout after 50 steps (or its end, if that is earlier), and at its end
+        rmse_all : of the rollout, over all its steps; seconds : for a step; and persistence_* of the same
+    """
+    kinds = ("1", "50", "last", "all")
+    squares = {f"{who}_{kind}": [] for who in ("rmse", "persistence") for kind in kinds}
+    seconds = []
+    for i in range(len(meshes)) if only is None else only:
+        trajectory, learned = meshes[i][0], meshes.learned(i)
+        states, _, each = rollout(predictor, meshes, i, steps, start, boundary)
+        seconds.append(each)
+        truth = np.array([meshes.state(i, start + k) for k in range(len(states))])[:, learned]
+        found, at = states[:, learned], min(50, len(states) - 1)
+        for who, guess in (("rmse", found), ("persistence", np.broadcast_to(truth[0], truth.shape))):
+            for kind, part in (("50", slice(at, at + 1)), ("last", slice(-1, None)), ("all", slice(1, None))):
+                squares[f"{who}_{kind}"].append(rmse(guess[part], truth[part]) ** 2)
+        for k in range(start, len(trajectory) - 1, every):
+            one, _, _ = rollout(predictor, meshes, i, 1, k, boundary)
+            after = meshes.state(i, k + 1)[learned]
+            squares["rmse_1"].append(rmse(one[1][learned], after) ** 2)
+            squares["persistence_1"].append(rmse(one[0][learned], after) ** 2)
+    return {name: float(np.sqrt(np.mean(v))) for name, v in squares.items()} | {
+        "seconds": float(np.mean(seconds))
+    }
+
+
+def state_fields(meshes, i, states, start=0):
+    """Name, predicted and true values (nt, n[, c]) of each field of the state."""
+    trajectory, config = meshes[i][0], meshes.config
+    widths = [trajectory.fields[name] for name in config.state]
+    truth = np.array([meshes.state(i, start + k) for k in range(len(states))])
+    for name, last, width in zip(config.state, np.cumsum(widths), widths):
+        at = last - 1 if width == 1 else slice(last - width, last)
+        yield name, states[..., at], truth[..., at]
+
+
+def write_rollout(path, meshes, i, states, start=0):
+    """XDMF of what was predicted, of the truth and of their difference, for each field of the state."""
+    trajectory, fields = meshes[i][0], {}
+    for name, found, truth in state_fields(meshes, i, states, start):
+        fields |= {name: found, f"{name}_truth": truth, f"{name}_error": found - truth}
+    write_trajectory(path, trajectory.graph, trajectory.times[start : start + len(states)], fields)
+    return path

@@ -1,0 +1,179 @@
+"""What a network is trained on: frames of trajectories, with noise, and what comes one step later."""
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from .batch import GraphBatch, join, level_tensors, single
+from .contact import contact_edges
+from .hierarchy import cached_hierarchy
+from .trajectory import Trajectory
+
+KEPT_MESHES = 256  # hierarchies that stay in memory
+
+
+@dataclass
+class Sample:
+    """One frame of one mesh, or several in one disjoint graph.
+
+    Attributes
+    ----------
+    batch : GraphBatch, its positions in units of the edge length
+    state : (N, c) fields or positions, with noise
+    motion : (N, d) change of position that is prescribed, zero elsewhere; None for fields at rest
+    target : (N, o) change of the state to the next frame, without its noise, and the fields of it
+    learned : (N,) bool, nodes that are not prescribed
+    """
+
+    batch: GraphBatch
+    state: torch.Tensor
+    motion: torch.Tensor | None
+    target: torch.Tensor
+    learned: torch.Tensor
+
+    def to(self, device):
+        """The same on a device."""
+        return Sample(*(None if v is None else v.to(device) for v in vars(self).values()))
+
+
+def find_trajectories(folder):
+    """Paths of the trajectories of a data set, in the order of their names."""
+    paths = sorted(p for p in Path(folder).glob("*.xdmf") if not p.name.startswith("."))
+    if not paths:
+        raise FileNotFoundError(f"{folder}: no *.xdmf there; a script demos/dataset_*.py makes a data set")
+    return paths
+
+
+class Meshes:
+    """Trajectories with the hierarchies of their meshes, opened when they are needed.
+
+    Parameters
+    ----------
+    paths : of the trajectories
+    config : Config
+    length : mean length of an edge, the unit of positions inside of the network
+    """
+
+    def __init__(self, paths, config, length=1.0):
+        self.paths, self.config, self.length = list(paths), config, length
+        self.open = OrderedDict()
+
+    def __len__(self):
+        return len(self.paths)
+
+    def __getitem__(self, i):
+        """Trajectory, hierarchy and its tensors, of path i."""
+        if i not in self.open:
+            c, trajectory = self.config, Trajectory(self.paths[i])
+            check_fields(trajectory, c)
+            folder = Path(self.paths[i]).parent / ".hierarchies"
+            options = {"seeding": c.seeding, "top_up": c.top_up}
+            if c.seeding == "random":
+                folder, options["rng"] = None, np.random.default_rng([c.seed, i])
+            hierarchy = cached_hierarchy(trajectory.graph, c.depth, folder, **options)
+            self.open[i] = trajectory, hierarchy, level_tensors(hierarchy)
+            if len(self.open) > KEPT_MESHES:
+                self.open.popitem(last=False)
+        self.open.move_to_end(i)
+        return self.open[i]
+
+    def state(self, i, k):
+        """(n, c) float32 state of frame k of trajectory i."""
+        return stack(self[i][0], self.config.state, k)
+
+    def batch(self, i, world=None):
+        """GraphBatch of mesh i, with contact edges where positions (n, d) are given."""
+        trajectory, hierarchy, levels = self[i]
+        graph, contact = trajectory.graph, None
+        if self.config.contact_radius:
+            contact = contact_edges(world, graph.edges, self.config.contact_radius)
+        out = single(graph, hierarchy, levels, world, contact)
+        out.material = out.material / self.length
+        if world is not None:
+            out.world = out.world / self.length
+        return out
+
+    def learned(self, i):
+        """(n,) bool, nodes whose type is predicted."""
+        return np.isin(self[i][0].graph.node_type, self.config.predicted)
+
+    def motion(self, i, k):
+        """(n, d) change of position from frame k to the next where it is prescribed, zero elsewhere."""
+        types = self[i][0].graph.node_type
+        moving = np.isin(types, self.config.moving)[:, None]
+        return np.where(moving, self.state(i, k + 1) - self.state(i, k), 0).astype(np.float32)
+
+
+def check_fields(trajectory, config):
+    """Raise a ValueError where a trajectory lacks what a Config asks for."""
+    wanted = (*config.state, *config.direct)
+    missing = [name for name in wanted if name not in trajectory.fields]
+    if missing:
+        raise ValueError(f"{trajectory.path}: no field {missing[0]!r}, it has {', '.join(trajectory.fields)}")
+    if not np.isin(trajectory.graph.node_type, config.predicted).any():
+        raise ValueError(f"{trajectory.path}: no node is of the types {config.predicted} that are predicted")
+
+
+def stack(trajectory, names, k):
+    """(n, c) float32 fields of a frame side by side."""
+    parts = [trajectory.read(name, k) for name in names]
+    return np.concatenate([a.reshape(len(a), -1) for a in parts], axis=1)
+
+
+def noise_scales(trajectory, config):
+    """(c,) standard deviation of the noise on each column of the state."""
+    return np.repeat(config.noise, [trajectory.fields[name] for name in config.state])
+
+
+def make_sample(meshes, i, k, rng=None):
+    """Frame k of trajectory i, with noise where rng (numpy Generator) is given.
+
+    The target leads from the noisy state to the true one of the next frame: so the network learns to take
+    back what it does wrong in a rollout.
+    """
+    config, trajectory = meshes.config, meshes[i][0]
+    clean, after, learned = meshes.state(i, k), meshes.state(i, k + 1), meshes.learned(i)
+    state = clean
+    if rng is not None:
+        scales = noise_scales(trajectory, config) * learned[:, None]
+        state = (clean + scales * rng.standard_normal(clean.shape)).astype(np.float32)
+    world = state if config.position else None
+    motion = torch.from_numpy(meshes.motion(i, k)) if config.position else None
+    target = after - state
+    if config.direct:
+        target = np.concatenate([target, stack(trajectory, config.direct, k + 1)], axis=1)
+    rest = (torch.from_numpy(a) for a in (target, learned))
+    return Sample(meshes.batch(i, world), torch.from_numpy(state), motion, *rest)
+
+
+def join_samples(samples):
+    """One Sample of several."""
+
+    def cat(name):
+        parts = [getattr(s, name) for s in samples]
+        return None if parts[0] is None else torch.cat(parts)
+
+    rest = (cat(name) for name in ("state", "motion", "target", "learned"))
+    return Sample(join([s.batch for s in samples]), *rest)
+
+
+def count_frames(meshes):
+    """(k, 2) trajectory and frame of everything that a training can ask for."""
+    return np.concatenate(
+        [
+            np.stack([np.full(len(t) - 1, i), np.arange(len(t) - 1)], axis=1)
+            for i, (t, *_) in enumerate(meshes)
+        ]
+    )
+
+
+def mean_edge_length(meshes, most=20):
+    """Mean length of the edges of the first meshes."""
+    lengths = []
+    for i in range(min(len(meshes), most)):
+        graph = meshes[i][0].graph
+        lengths.append(np.linalg.norm(np.diff(graph.points[graph.edges], axis=1)[:, 0], axis=1).mean())
+    return float(np.mean(lengths))

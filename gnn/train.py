@@ -1,0 +1,246 @@
+"""Training: noise on the inputs, Adam, exact checkpoints, several processes by torchrun."""
+
+import json
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.distributed as dist
+
+from .predictor import from_description, make_predictor
+from .rollout import evaluate
+from .samples import Meshes, count_frames, find_trajectories, join_samples, make_sample, mean_edge_length
+
+# settings that a checkpoint and the training that goes on from it have in common
+SAME = ("model", "latent", "depth", "fields", "direct", "position", "contact_radius", "transition")
+
+
+class BadCheckpoint(ValueError):
+    """A file that is no checkpoint of a training, or of another one."""
+
+
+class Training:
+    """A training that can be stopped and gone on with.
+
+    Parameters
+    ----------
+    config : Config
+    out : folder of checkpoint.pt, log.jsonl and of what `look` writes
+
+    Attributes
+    ----------
+    predictor : Predictor; step : steps done; seconds : time spent
+    """
+
+    def __init__(self, config, out):
+        self.config, self.out = config, Path(out)
+        self.rank, self.size = start_processes()
+        self.device = torch.device("cpu")
+        if on_gpu():
+            self.device = torch.device("cuda", self.rank % torch.cuda.device_count())
+        torch.manual_seed(config.seed)
+        paths = find_trajectories(config.data)
+        if not 0 <= config.held_out < len(paths):
+            raise ValueError(f"held_out {config.held_out}: {config.data} has {len(paths)} trajectories")
+        split = len(paths) - config.held_out
+        length = mean_edge_length(Meshes(paths[:split], config))
+        self.meshes = Meshes(paths[:split], config, length)
+        self.held_out = Meshes(paths[split:], config, length)
+        self.frames = count_frames(self.meshes)
+        self.predictor = make_predictor(config, self.meshes).to(self.device)
+        self.predictor.fit_normalisation(self.meshes, self.frames)
+        self.parallel = self.predictor
+        if self.size > 1:
+            self.parallel = torch.nn.parallel.DistributedDataParallel(Terms(self.predictor))
+        self.optimizer = torch.optim.AdamW(
+            self.predictor.parameters(), lr=config.rate, weight_decay=config.weight_decay
+        )
+        self.step, self.seconds = 0, 0.0
+
+    def run(self):
+        """Train to the end, or until Ctrl-C; a checkpoint is written in any case."""
+        c, saved, shown = self.config, time.monotonic(), 0.0
+        self.out.mkdir(parents=True, exist_ok=True)
+        with open(self.out / "log.jsonl", "a", encoding="utf-8") as log:
+            try:
+                while (done := self.progress()) < 1:
+                    begin = time.monotonic()
+                    loss, norm = self.train_step(done)
+                    self.seconds += self.agreed(time.monotonic() - begin)
+                    row = {"step": self.step, "loss": loss, "norm": norm, "seconds": self.seconds}
+                    row["rate"] = self.optimizer.param_groups[0]["lr"]
+                    if self.step % c.look_every == 0:
+                        row |= self.look()
+                    if self.rank == 0:
+                        print(json.dumps(row), file=log, flush=self.step % 100 == 0 or len(row) > 5)
+                        shown = show(done, row, shown)
+                    if self.agreed(time.monotonic() - saved) > 60 * c.save_minutes:
+                        self.save()
+                        saved = time.monotonic()
+            except KeyboardInterrupt:
+                print("\nstopped: the same command goes on from the checkpoint", file=sys.stderr)
+            self.save()
+        if self.rank == 0:
+            print(file=sys.stderr)
+        return self.predictor
+
+    def progress(self):
+        """Share of the training that is done, of the time or of the steps."""
+        c = self.config
+        return self.seconds / (60 * c.minutes) if c.minutes else self.step / c.steps
+
+    def agreed(self, seconds):
+        """The first process's time, so that all stop at the same step."""
+        if self.size == 1:
+            return seconds
+        shared = torch.tensor(seconds, dtype=torch.float64)
+        dist.broadcast(shared, 0)
+        return shared.item()
+
+    def train_step(self, done):
+        """One step of Adam; returns the mean squared error of all processes and the norm of the gradient."""
+        c = self.config
+        for group in self.optimizer.param_groups:
+            group["lr"] = c.rate * (c.last_rate / c.rate) ** min(done, 1.0)
+        sample = join_samples([self.sample(n) for n in self.chosen()]).to(self.device)
+        self.optimizer.zero_grad(set_to_none=True)
+        with torch.autocast("cuda", torch.bfloat16, enabled=self.device.type == "cuda"):
+            if self.size > 1:
+                total, count = self.parallel(sample)
+            else:
+                total, count = self.predictor.loss_terms(sample)
+        # gradients are averaged over the processes: times their number, over the nodes of all of them
+        sums = self.summed(torch.tensor([total.item(), count], dtype=torch.float64))
+        (total * (self.size / sums[1].item())).backward()
+        norm = torch.nn.utils.clip_grad_norm_(self.predictor.parameters(), c.clip)
+        self.optimizer.step()
+        self.step += 1
+        return (sums[0] / sums[1]).item(), norm.item()
+
+    def summed(self, values):
+        """Sum of a tensor over the processes."""
+        if self.size > 1:
+            dist.all_reduce(values)
+        return values
+
+    def chosen(self):
+        """Numbers in the course of the training of the samples of this process's share of a batch."""
+        first = self.step * self.config.batch
+        return range(first + self.rank, first + self.config.batch, self.size)
+
+    def sample(self, number):
+        """A sample by its number: order and noise depend on it and the seed only, whoever draws it."""
+        epoch, place = divmod(number, len(self.frames))
+        order = np.random.default_rng([self.config.seed, epoch]).permutation(len(self.frames))
+        i, k = self.frames[order[place]]
+        noise = np.random.default_rng([self.config.seed, epoch, int(order[place])])
+        return make_sample(self.meshes, int(i), int(k), noise)
+
+    def look(self):
+        """Errors of a rollout of the first trajectory that is held out."""
+        if not len(self.held_out) or self.rank:
+            return {}
+        found = evaluate(self.predictor, self.held_out, steps=self.config.look_steps, only=(0,), every=10)
+        return {name: found[name] for name in ("rmse_1", "rmse_last", "persistence_1", "persistence_last")}
+
+    def save(self):
+        """Write checkpoint.pt, which is there as a whole or not at all."""
+        if self.rank:
+            return
+        state = {"kind": "gnn training", "step": self.step, "seconds": self.seconds}
+        state |= {"predictor": self.predictor.state_dict(), "optimizer": self.optimizer.state_dict()}
+        state |= {"about": self.predictor.describe(), "random": torch.get_rng_state()}
+        part = self.out / "checkpoint.part"
+        torch.save(state, part)
+        os.replace(part, self.out / "checkpoint.pt")
+
+    def load(self):
+        """Go on from checkpoint.pt, where there is one; raises BadCheckpoint for one of another training."""
+        path = self.out / "checkpoint.pt"
+        if not path.exists():
+            return
+        state = read_checkpoint(path)
+        mine, theirs = self.predictor.describe(), state["about"]
+        for name in SAME:
+            if mine["config"][name] != theirs["config"].get(name):
+                raise BadCheckpoint(
+                    f"{path}: of a training with {name} {theirs['config'].get(name)!r}, "
+                    f"not {mine['config'][name]!r}; give another folder"
+                )
+        self.predictor.load_state_dict(state["predictor"])
+        self.predictor.length = theirs["length"]
+        for meshes in (self.meshes, self.held_out):
+            meshes.length = theirs["length"]
+        self.optimizer.load_state_dict(state["optimizer"])
+        torch.set_rng_state(state["random"])
+        self.step, self.seconds = state["step"], state["seconds"]
+
+
+class Terms(torch.nn.Module):
+    """The terms of the loss as what `forward` returns, as DistributedDataParallel wants it."""
+
+    def __init__(self, predictor):
+        super().__init__()
+        self.predictor = predictor
+
+    def forward(self, sample):
+        return self.predictor.loss_terms(sample)
+
+
+def start_processes():
+    """Rank and number of the processes that torchrun has started, 0 and 1 without it."""
+    if "WORLD_SIZE" not in os.environ or int(os.environ["WORLD_SIZE"]) == 1:
+        return 0, 1
+    if not dist.is_initialized():
+        dist.init_process_group("nccl" if on_gpu() else "gloo")
+    return dist.get_rank(), dist.get_world_size()
+
+
+def on_gpu():
+    """Whether torch finds a GPU."""
+    return torch.cuda.is_available()
+
+
+def read_checkpoint(path):
+    """What a checkpoint holds; raises BadCheckpoint where it cannot be read."""
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError:
+        raise
+    except Exception as error:
+        raise BadCheckpoint(f"{path}: cannot be read ({error}); delete it to start anew") from None
+    if not isinstance(state, dict) or state.get("kind") != "gnn training":
+        raise BadCheckpoint(f"{path}: not a checkpoint of a training of gnn")
+    return state
+
+
+def load_predictor(path):
+    """The trained Predictor of a checkpoint, or of the folder of a training."""
+    path = Path(path)
+    path = path / "checkpoint.pt" if path.is_dir() else path
+    state = read_checkpoint(path)
+    predictor = from_description(state["about"])
+    predictor.load_state_dict(state["predictor"])
+    return predictor.eval()
+
+
+def show(done, row, shown):
+    """A line of progress: on a terminal ten times a second, else at every tenth of the training."""
+    tty, now = sys.stderr.isatty(), time.monotonic()
+    reached = now if tty else done
+    if reached >= shown:
+        looked = f"  50 steps {row['rmse_last']:.3g}" if "rmse_last" in row else ""
+        text = f"[{'#' * int(24 * done):<24}] step {row['step']}  loss {row['loss']:.4g}{looked}"
+        print(f"\r{text}\x1b[K" if tty else text, end="" if tty else "\n", file=sys.stderr, flush=True)
+        return now + 0.1 if tty else (np.floor(10 * done + 1e-9) + 1) / 10
+    return shown
+
+
+def train(config, out):
+    """Train, or go on with a training; returns its Predictor."""
+    training = Training(config, out)
+    training.load()
+    return training.run().eval()

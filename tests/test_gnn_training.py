@@ -1,0 +1,245 @@
+"""Training and rollouts of small networks on fields with closed forms."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from scipy.spatial import Delaunay  # noqa: E402
+
+from gnn.config import Config, preset  # noqa: E402
+from gnn.graph import HANDLE, NORMAL, OBSTACLE, WALL, from_cells  # noqa: E402
+from gnn.rollout import evaluate, rollout  # noqa: E402
+from gnn.samples import Meshes, find_trajectories, make_sample  # noqa: E402
+from gnn.train import BadCheckpoint, Training, load_predictor, read_checkpoint, train  # noqa: E402
+from gnn.trajectory import write_trajectory  # noqa: E402
+
+SMALL = {"latent": 16, "depth": 2, "batch": 2, "noise": (0.01,), "held_out": 1, "look_every": 1000}
+DECAY = 0.8  # of the field in a step
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    """As in the benchmarks: sums do not depend on the number of threads."""
+    torch.set_num_threads(1)
+
+
+def square(rng, n=60):
+    """Graph of random points in a square, walls on its hull."""
+    points = np.concatenate([rng.random((n, 2)), [[0, 0], [1, 0], [0, 1], [1, 1]]])
+    mesh = Delaunay(points)
+    types = np.full(len(points), NORMAL)
+    types[np.unique(mesh.convex_hull)] = WALL
+    return from_cells(points, mesh.simplices, types)
+
+
+def decaying(folder, count=3, frames=8, name="velocity"):
+    """Trajectories of fields that decay by the factor DECAY in every step."""
+    rng = np.random.default_rng(0)
+    for i in range(count):
+        graph = square(rng)
+        start = rng.standard_normal((len(graph.points), 2))
+        values = start * DECAY ** np.arange(frames)[:, None, None]
+        write_trajectory(folder / f"t_{i}.xdmf", graph, 0.1 * np.arange(frames), {name: values})
+    return folder
+
+
+def config(folder, **changes):
+    return Config(**({"data": str(folder), **SMALL} | changes))
+
+
+def test_targets_take_the_noise_back(tmp_path):
+    """State and target add up to the true next frame; noise is on predicted nodes only, as large as asked."""
+    c = config(decaying(tmp_path), noise=(0.5,))
+    meshes = Meshes(find_trajectories(c.data), c)
+    sample = make_sample(meshes, 0, 3, np.random.default_rng(1))
+    noise = sample.state.numpy() - meshes.state(0, 3)
+    np.testing.assert_allclose((sample.state + sample.target).numpy(), meshes.state(0, 4), atol=1e-6)
+    learned = sample.learned.numpy()
+    assert np.all(noise[~learned] == 0)
+    # the deviation of n normal numbers is known to 1 / sqrt(2 n): four of these
+    assert abs(noise[learned].std() / 0.5 - 1) < 4 / np.sqrt(2 * noise[learned].size)
+
+
+def test_normalisation(tmp_path):
+    """That of the inputs is the mean and the deviation over all frames, by NumPy."""
+    c = config(decaying(tmp_path))
+    training = Training(c, tmp_path / "out")
+    states = np.concatenate(
+        [training.meshes.state(i, k) for i in range(len(training.meshes)) for k in range(7)]
+    ).astype(float)
+    np.testing.assert_allclose(training.predictor.mean_in, states.mean(axis=0), atol=1e-6)
+    np.testing.assert_allclose(training.predictor.deviation_in, states.std(axis=0), rtol=1e-5)
+
+
+def test_training_learns_a_decay(tmp_path):
+    """After 300 steps a step is five times, and a rollout twice, as good as persistence on an unseen mesh.
+
+    Persistence is off by 1 - DECAY = 20 % of the field in a step: 4 % are left.
+    """
+    c = config(decaying(tmp_path, 5), steps=300, latent=32, depth=1, batch=4, rate=3e-3, noise=(1e-3,))
+    predictor = train(c, tmp_path / "out")
+    training = Training(c, tmp_path / "other")
+    found = evaluate(predictor, training.held_out)
+    assert found["rmse_1"] < found["persistence_1"] / 5
+    assert found["rmse_last"] < found["persistence_last"] / 2
+    rows = [json.loads(line) for line in (tmp_path / "out/log.jsonl").read_text().splitlines()]
+    assert [row["step"] for row in rows] == list(range(1, 301))
+    assert np.mean([r["loss"] for r in rows[-20:]]) < 0.1 * np.mean([r["loss"] for r in rows[:20]])
+
+
+def test_resumed_training_is_the_same(tmp_path):
+    """Stopped after 6 of 12 steps and gone on with: the same parameters, bit by bit."""
+    c = config(decaying(tmp_path), steps=12)
+    whole = Training(c, tmp_path / "whole").run()
+    first = Training(c, tmp_path / "parts")
+    first.progress = lambda: first.step / 6
+    rate = first.train_step
+    first.train_step = lambda done: rate(first.step / 12)
+    first.run()
+    second = Training(c, tmp_path / "parts")
+    second.load()
+    assert second.step == 6
+    for a, b in zip(whole.state_dict().values(), second.run().state_dict().values()):
+        assert torch.equal(a, b)
+
+
+WORKER = """
+import sys, torch
+torch.set_num_threads(1)
+from gnn.config import Config
+from gnn.train import Training
+training = Training(Config(**eval(sys.argv[1])), sys.argv[2])
+losses = [training.train_step(0.0)[0] for _ in range(3)]
+if training.rank == 0:
+    torch.save([losses, training.predictor.state_dict()], sys.argv[3])
+"""
+
+
+@pytest.mark.slow
+def test_two_processes_as_one(tmp_path):
+    """torchrun on two processes: the losses and parameters of one with the joined batch, to round-off."""
+    settings = {"data": str(decaying(tmp_path)), **SMALL, "batch": 4}
+    worker = tmp_path / "worker.py"
+    worker.write_text(WORKER)
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1]), "OMP_NUM_THREADS": "1"}
+    found = []
+    for starter in ([], ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]):
+        path = tmp_path / f"result{len(found)}.pt"
+        command = [sys.executable, *starter, str(worker), repr(settings), str(tmp_path / "out"), str(path)]
+        done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=200)
+        assert done.returncode == 0, done.stderr
+        found.append(torch.load(path))
+    # losses of order 1 and parameters after three steps of 1e-3, in float32
+    np.testing.assert_allclose(*(f[0] for f in found), rtol=1e-5)
+    for a, b in zip(*(f[1].values() for f in found)):
+        torch.testing.assert_close(a, b, rtol=1e-4, atol=2e-5)
+
+
+def exact(predictor):
+    """Make a predictor's step the closed form."""
+    predictor.step = lambda batch, state, motion=None: (DECAY * state, state[:, :0])
+    return predictor
+
+
+def test_rollout_with_the_exact_step(tmp_path):
+    """The closed form leaves no error; frozen walls are off by what they should have changed by."""
+    c = config(decaying(tmp_path))
+    training = Training(c, tmp_path / "out")
+    predictor, meshes = exact(training.predictor), training.held_out
+    states, _, _ = rollout(predictor, meshes, 0)
+    truth = np.array([meshes.state(0, k) for k in range(8)])
+    np.testing.assert_allclose(states, truth, atol=1e-6)
+    found = evaluate(predictor, meshes)
+    assert found["rmse_1"] < 1e-6 and found["rmse_all"] < 1e-6
+    learned = meshes.learned(0)
+    # after k steps persistence is off by (1 - DECAY^k) of the start
+    size = np.sqrt(np.mean(truth[0][learned].astype(float) ** 2))
+    np.testing.assert_allclose(found["persistence_last"], size * (1 - DECAY**7), rtol=1e-5)
+    frozen, _, _ = rollout(predictor, meshes, 0, boundary="frozen")
+    np.testing.assert_array_equal(frozen[-1][~learned], truth[0][~learned])
+    with pytest.raises(ValueError, match="boundary 'open'"):
+        rollout(predictor, meshes, 0, boundary="open")
+
+
+def test_bodies_that_deform(tmp_path):
+    """Prescribed motion of the obstacle is an input, contact edges join the bodies, the body learns."""
+    rng, frames = np.random.default_rng(2), 6
+    graph = square(rng, 30)
+    shift = np.array([1.02, 0.0])
+    points = np.concatenate([graph.points, graph.points + shift])
+    types = np.concatenate([np.full(len(graph.points), NORMAL), np.full(len(graph.points), OBSTACLE)])
+    types[graph.points[:, 0].argmin()] = HANDLE
+    both = from_cells(points, np.concatenate([graph.cells, graph.cells + len(graph.points)]), types)
+    moved = np.where(types == OBSTACLE, -0.02, 0.0)[:, None] * [1.0, 0.0]
+    x = points + np.arange(frames)[:, None, None] * moved
+    for i in range(2):
+        write_trajectory(tmp_path / f"{i}.xdmf", both, np.arange(frames), {"position": x})
+    c = preset("plate", data=str(tmp_path), contact_radius=0.05, **{k: SMALL[k] for k in ("latent", "depth")})
+    c.held_out, c.steps, c.batch = 1, 3, 2
+    training = Training(c, tmp_path / "out")
+    sample = training.sample(0)
+    n = len(graph.points)
+    np.testing.assert_allclose(sample.motion.numpy(), moved, atol=1e-6)
+    senders, receivers = sample.batch.levels[0].contact
+    assert len(senders) and torch.all((senders < n) != (receivers < n))
+    assert len(sample.batch.levels[1].contact[0])
+    assert np.isfinite(training.run().loss_terms(sample)[0].item())
+
+
+def test_bad_input(tmp_path):
+    """Wrong data, settings and checkpoints are named."""
+    folder = decaying(tmp_path / "data", 2)
+    with pytest.raises(FileNotFoundError, match="no \\*.xdmf"):
+        Training(config(tmp_path / "none"), tmp_path / "out")
+    with pytest.raises(ValueError, match="no field 'speed'"):
+        Training(config(folder, fields=("speed",)), tmp_path / "out")
+    with pytest.raises(ValueError, match="held_out 2"):
+        Training(config(folder, held_out=2), tmp_path / "out")
+    with pytest.raises(ValueError, match="noise"):
+        config(folder, noise=(0.1, 0.2))
+    with pytest.raises(ValueError, match="preset 'wing'"):
+        preset("wing")
+    training = Training(config(folder), tmp_path / "out")
+    (tmp_path / "out").mkdir()
+    training.save()
+    other = Training(config(folder, latent=8), tmp_path / "out")
+    with pytest.raises(BadCheckpoint, match="latent 16, not 8"):
+        other.load()
+    path = tmp_path / "out/checkpoint.pt"
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(BadCheckpoint, match="cannot be read"):
+        read_checkpoint(path)
+    torch.save({"weights": 1}, path)
+    with pytest.raises(BadCheckpoint, match="not a checkpoint"):
+        load_predictor(path)
+
+
+def test_command_line(tmp_path, capsys):
+    """Train, evaluate and roll out by the commands of the README; the files are read by other programs."""
+    meshio = pytest.importorskip("meshio")
+    from matplotlib.image import imread
+
+    from gnn.__main__ import main
+
+    folder, out = decaying(tmp_path / "data"), str(tmp_path / "out")
+    options = ["--latent", "8", "--depth", "2", "--steps", "4", "--batch", "1", "--held-out", "1"]
+    main(["train", "--data", str(folder), "--out", out, *options])
+    main(["evaluate", out, str(folder), "--steps", "3"])
+    found = json.loads("{" + capsys.readouterr().out.split("{")[1])
+    assert {"rmse_1", "rmse_50", "rmse_all", "persistence_1"} <= set(found)
+    main(["rollout", out, str(folder), "--out", out, "--gif"])
+    with meshio.xdmf.TimeSeriesReader(Path(out) / "rollout.xdmf") as reader:
+        reader.read_points_cells()
+        assert reader.num_steps == 8
+        _, fields, _ = reader.read_data(7)
+    error = fields["velocity"] - fields["velocity_truth"]
+    np.testing.assert_allclose(fields["velocity_error"], error, atol=1e-6)
+    assert imread(Path(out) / "rollout_velocity.png").std() > 0.05  # not one colour
+    assert (Path(out) / "rollout_velocity.gif").stat().st_size > 1000
