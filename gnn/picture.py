@@ -129,6 +129,9 @@ def levels_picture(path, named, most=6):
             if level.kept is not None:
                 x = x[level.kept]
         for ax in row:
+            low, high = graph.points[:, [0, -1]].min(axis=0), graph.points[:, [0, -1]].max(axis=0)
+            rim = 0.03 * (high - low)
+            ax.set(**{f"{a}lim": (low[k] - rim[k], high[k] + rim[k]) for k, a in enumerate("xy")})
             ax.set_aspect("equal")
             ax.set_axis_off()
     figure.savefig(path, dpi=130)

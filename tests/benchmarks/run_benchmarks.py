@@ -23,6 +23,7 @@ from benchmarks.vibrating_bar import error_against_time
 from benchmarks.work import peak, work
 from fempm import compat
 
+PARTS = ("solids", "gas", "coupled", "gnn")
 BOXES = {1: 4e-5, 2: 0.0068, 3: 0.058}  # dimension -> mesh size: 100,000 to 230,000 particles
 QUICK_BOXES = {1: 2e-4, 2: 0.018, 3: 0.1}
 GRIDS, QUICK_GRIDS = {2: 240, 3: 30}, {2: 90, 3: 16}  # cells per axis of structured grids
@@ -145,7 +146,7 @@ def main(argv=None):
     formatter = argparse.ArgumentDefaultsHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
     parser.add_argument("--output", type=Path, default=Path("results/bench"), help="folder of the files")
-    parser.add_argument("--only", choices=("solids", "gas", "coupled"), help="one part of the benchmarks")
+    parser.add_argument("--only", choices=PARTS, help="one part of the benchmarks")
     parser.add_argument("--quick", action="store_true", help="smaller scenes: below a minute")
     args = parser.parse_args(argv)
     args.output.mkdir(parents=True, exist_ok=True)
@@ -158,6 +159,10 @@ def main(argv=None):
     for name, benchmarks in (("gas", gas_benchmarks), ("coupled", coupled_benchmarks)):
         if args.only in (None, name):
             benchmarks(args.output, args.quick, table, write_csv)
+    if args.only in (None, "gnn"):
+        from benchmarks.gnn import gnn_benchmarks  # loads torch
+
+        gnn_benchmarks(args.output, args.quick, table, write_csv)
     print(f"\nwrote {args.output}/ in {time.perf_counter() - begin:.0f} s")
 
 
