@@ -85,14 +85,14 @@ PRESETS = {
         "fields": ("density", "velocity"),
         "direct": ("pressure",),
         "predicted": (NORMAL,),
-        "noise": (0.01, 0.02),
+        "noise": (0.002, 0.5),
     },
     "plate": {
         "fields": (),
         "position": "position",
         "predicted": (NORMAL,),
         "moving": (OBSTACLE, HANDLE),
-        "noise": (3e-4,),
+        "noise": (1e-4,),
         "contact_radius": 0.03,
     },
     "font": {

@@ -6,6 +6,7 @@ Thesis 4.2 and 4.3.2. It depends on the mesh only: build it once, see `cached_hi
 import hashlib
 import os
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,16 @@ class Hierarchy:
     """Levels of a mesh, the mesh itself first."""
 
     levels: tuple
+
+    @cached_property
+    def reached(self):
+        """(A + I)[:, kept] of each level but the last: which kept nodes are a node or beside it."""
+        out = []
+        for level in self.levels[:-1]:
+            m = len(level.kept)
+            itself = sparse.csr_matrix((np.ones(m), (level.kept, np.arange(m))), (level.num_nodes, m))
+            out.append((level.transfer + itself).astype(bool).astype(np.float32))
+        return out
 
 
 def build_hierarchy(edges, points, depth, seeding="min_average", top_up=True, rng=None):
@@ -241,12 +252,9 @@ def contact_levels(hierarchy, contact):
     """
     contact = np.asarray(contact, np.int32).reshape(-1, 2)
     out = [contact]
-    for level in hierarchy.levels[:-1]:
-        m = len(level.kept)
-        itself = sparse.csr_matrix((np.ones(m), (level.kept, np.arange(m))), (level.num_nodes, m))
-        spread = (level.transfer + itself).astype(bool).astype(np.float32)  # (A + I)[:, kept]
-        pairs = sparse.csr_matrix((np.ones(len(contact), np.float32), contact.T), (level.num_nodes,) * 2)
-        product = (spread.T @ pairs @ spread).tocoo()
+    for reached in hierarchy.reached:
+        m = reached.shape[1]
+        product = (reached[contact[:, 0]].T @ reached[contact[:, 1]]).tocoo()
         ends = np.stack([np.minimum(product.row, product.col), np.maximum(product.row, product.col)])
         keys = np.unique((ends[0].astype(np.int64) * m + ends[1])[ends[0] < ends[1]])
         contact = np.stack(np.divmod(keys, m), axis=1).astype(np.int32)
