@@ -56,7 +56,7 @@ class Training:
         if self.size > 1:
             self.parallel = torch.nn.parallel.DistributedDataParallel(Terms(self.predictor))
         self.optimizer = torch.optim.AdamW(
-            self.predictor.parameters(), lr=config.rate, weight_decay=config.weight_decay
+            self.predictor.parameters(), lr=config.rate, weight_decay=config.weight_decay, fused=True
         )
         self.step, self.seconds = 0, 0.0
 
