@@ -18,12 +18,13 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 from benchmarks.comparison import comparison
 from benchmarks.coupled import coupled_benchmarks
 from benchmarks.gas import gas_benchmarks
+from benchmarks.parvi import parvi_benchmarks
 from benchmarks.throughput import STAGES, throughput
 from benchmarks.vibrating_bar import error_against_time
 from benchmarks.work import peak, work
 from fempm import compat
 
-PARTS = ("solids", "gas", "coupled", "gnn")
+PARTS = ("solids", "gas", "coupled", "parvi", "gnn")
 BOXES = {1: 4e-5, 2: 0.0068, 3: 0.058}  # dimension -> mesh size: 100,000 to 230,000 particles
 QUICK_BOXES = {1: 2e-4, 2: 0.018, 3: 0.1}
 GRIDS, QUICK_GRIDS = {2: 240, 3: 30}, {2: 90, 3: 16}  # cells per axis of structured grids
@@ -156,7 +157,8 @@ def main(argv=None):
 
     if args.only in (None, "solids"):
         solid_benchmarks(args.output, args.quick)
-    for name, benchmarks in (("gas", gas_benchmarks), ("coupled", coupled_benchmarks)):
+    others = {"gas": gas_benchmarks, "coupled": coupled_benchmarks, "parvi": parvi_benchmarks}
+    for name, benchmarks in others.items():
         if args.only in (None, name):
             benchmarks(args.output, args.quick, table, write_csv)
     if args.only in (None, "gnn"):
