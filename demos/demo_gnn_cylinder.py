@@ -24,25 +24,22 @@ KINDS = {  # trajectories, their size, how many of them nobody trains on, and th
 
 def main(argv=None):
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--mini", dest="kind", action="store_const", const="mini", default="tiny", help="an hour"
-    )
-    parser.add_argument("--full", dest="kind", action="store_const", const="full", help="a day on a GPU")
+    for kind, what in (("mini", "an hour"), ("full", "a day on a GPU")):
+        own = {"action": "store_const", "const": kind, "default": "tiny", "help": what}
+        parser.add_argument(f"--{kind}", dest="kind", **own)
     parser.add_argument("--minutes", type=float, help="of training")
     parser.add_argument("--jobs", type=int, default=2, help="processes that make data (default: %(default)s)")
     parser.add_argument("--output", default="results/gnn_cylinder", help="folder of all files")
     args = parser.parse_args(argv)
     trajectories, size, held_out, settings = KINDS[args.kind]
-    settings |= {} if args.minutes is None else {"minutes": args.minutes}
+    settings = settings | ({} if args.minutes is None else {"minutes": args.minutes})
     data, out = Path(args.output) / f"data_{args.kind}", Path(args.output) / args.kind
-    options = ["--trajectories", trajectories, "--size", size, "--jobs", args.jobs, "--out", data]
-    dataset_cylinder.main([str(o) for o in options])
-    torch.set_num_threads(
-        1 if args.kind == "tiny" else torch.get_num_threads()
-    )  # small meshes: one is faster
+    options = {"trajectories": trajectories, "size": size, "jobs": args.jobs, "out": data}
+    dataset_cylinder.main([f"--{name}={value}" for name, value in options.items()])
+    if args.kind == "tiny":
+        torch.set_num_threads(1)  # faster on small meshes
     config = preset("cylinder", data=str(data), held_out=held_out, look_every=10**9, **settings)
     predictor = train(config, out)
-
     unseen = Meshes(find_trajectories(data)[-held_out:], config, predictor.length)
     found = evaluate(predictor, unseen, every=10)
     print(f"past {held_out} unseen cylinders, {1e3 * found['seconds']:.3g} ms a step; root mean square")
@@ -50,11 +47,10 @@ def main(argv=None):
     for name, what in (("1", "one step"), ("50", "50 steps"), ("last", "at the end"), ("all", "the rollout")):
         print(f"{what:16} {found[f'rmse_{name}']:9.3g} {found[f'persistence_{name}']:9.3g}")
     states, _, _ = rollout(predictor, unseen, 0)
-    files = [write_rollout(out / "rollout.xdmf", unseen, 0, states)]
-    trajectory = unseen[0][0]
+    files, trajectory = [write_rollout(out / "rollout.xdmf", unseen, 0, states)], unseen[0][0]
     for name, guess, truth in state_fields(unseen, 0, states):
-        picture = out / f"rollout_{name}.png"
-        files.append(rollout_strip(picture, trajectory.graph, trajectory.times, truth, guess, name=name))
+        drawn = trajectory.graph, trajectory.times, truth, guess
+        files.append(rollout_strip(out / f"rollout_{name}.png", *drawn, name=name))
     print("files:", *files, sep="\n  ")
     return found
 

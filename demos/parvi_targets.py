@@ -6,6 +6,7 @@ and Mohamed 2015, U2 to U4 in the window |z| <= 4, where alone they can be norma
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -139,11 +140,15 @@ def from_grid(log_density, score, half_width, **settings):
     """A target drawn from by the weights of a fine grid, even within its squares."""
     squares = 1200
 
-    def draw(n, rng):
+    @cache
+    def table():
         centre = ((np.arange(squares) + 0.5) / squares * 2 - 1) * half_width
         x = np.stack(np.meshgrid(centre, centre, indexing="ij"), axis=-1).reshape(-1, 2)
         log = log_density(x)
-        total = np.cumsum(np.exp(log - log.max()))
+        return x, np.cumsum(np.exp(log - log.max()))
+
+    def draw(n, rng):
+        x, total = table()
         k = np.searchsorted(total, rng.random(n) * total[-1])
         return x[k] + (rng.random((n, 2)) - 0.5) * (2 * half_width / squares)
 
