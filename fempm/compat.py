@@ -30,7 +30,7 @@ if not _OLD:
 logging.getLogger().addFilter(
     lambda record: record.levelno >= logging.WARNING or "distutils" not in record.pathname
 )
-for _name in ("ffcx", "FFCx", "UFL", "ufl"):
+for _name in ("ffcx", "FFCx", "UFL", "ufl", "compilers"):  # the last one of newer setuptools
     logging.getLogger(_name).setLevel(logging.WARNING)
 
 
