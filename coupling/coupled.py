@@ -194,7 +194,6 @@ class Coupled(Flow):
         self.settle(theta, self.theta > 0)
         U = self.regrid(U, self.theta, theta)
         self.begin(U, theta, *moving_solid, *self.filled_cells(theta, compliance, ghost))
-        stages.merge = lambda U: self.merge(U, theta, theta, U)
         U = super().one_step(U, dt, scheme, limiter)
         self.push_solid(dt)
         solid.update_grid(dt)
@@ -221,7 +220,7 @@ class Coupled(Flow):
 
     def begin(self, U, theta, vertices, mass, velocity, *cells):
         """Give the stages the solid, and closed nodes of U the state of their neighbours. Collective."""
-        part, s = self.part, self.part.space
+        part, s, whole = self.part, self.part.space, theta
         theta = theta[part.nodes]
         sums = self.buffer("beside", (len(theta), 1 + U.shape[1]))
         merging.add_open_neighbours(np.flatnonzero(theta == 0), theta, *self.graph, U, sums)
@@ -236,7 +235,9 @@ class Coupled(Flow):
         start[at[here]] = velocity[here]
         openness = fractions.edge_openness(self.openness, theta, s)
         flat = beside[theta[beside] > 0]
-        self.stages.begin(theta, openness, flat, start, inverse, *cells)
+        self.stages.begin(
+            theta, openness, flat, start, inverse, *cells, lambda U: self.merge(U, whole, whole, U)
+        )
 
     def filled_cells(self, theta, compliance, ghost):
         """What `Mixture.begin` needs of cells: filled, ghost, taken, soft and dry. Collective.

@@ -25,34 +25,19 @@ EXTRAPOLATE = 1 + np.sqrt(2)  # (1 - gamma) / gamma of the two-stage scheme
 
 @njit(**options)
 def add_work(
-    shape,
-    nodes,
-    dofs,
-    coefficients,
-    weights,
-    volumes,
-    dry,
-    P,
-    ghost,
-    rate,
-    theta,
-    alpha,
-    internal,
-    gas,
-    old,
-    new,
-    out,
+    shape, nodes, dofs, coefficients, weights, volumes, dry, pressures, theta, alpha, internal, phases, out
 ):
     """Add to `out` (n,) the energy that the pressure gives to each node's gas; returns what no gas takes.
 
     A node gets the work on its gas, and of the heat -P times the expansion of the gas in a cell a share. The
-    expansion is what the flux of both phases leaves when that of the ghost matrix, `rate` (nq,) per volume
-    and pressure, is taken off: so the gas loses what the solid, with `old` and `new` velocity, and its ghost
-    gain. `dry`
-    (nc,) marks cells of gas alone. What an expansion takes, the nodes pay according to their energy
+    expansion is what the flux of both phases leaves when that of the ghost matrix is taken off: so the gas
+    loses what the solid and its ghost gain. What an expansion takes, the nodes pay according to their energy
     `internal` (n,) per open volume: between hot gas and a vacuum they have no equal shares to give.
+    `dry` (nc,) marks cells of gas alone; `pressures` (nq,) are P, that of the ghost matrix, and the rate per
+    volume at which it expands for a difference of the two; `phases` (n, d) are the velocities of the gas,
+    and of the solid before and after.
     """
-    per_cell, corners, size = shape
+    (per_cell, corners, size), (P, ghost, rate), (gas, old, new) = shape, pressures, phases
     lost, share = 0.0, np.empty(len(corners))
     for c in range(len(nodes)):
         for q in range(len(per_cell)):
@@ -190,7 +175,7 @@ class Mixture(Stages):
         self.place = np.full(len(self.part.nodes), -1, np.int32)
         self.place[special] = np.arange(len(special))
 
-    def begin(self, theta, openness, flat, velocity, inverse_mass, filled, ghost, taken, soft, dry):
+    def begin(self, theta, openness, flat, velocity, inverse_mass, filled, ghost, taken, soft, dry, merge):
         """Take up the solid at the start of a step.
 
         Parameters
@@ -201,6 +186,7 @@ class Mixture(Stages):
         filled : (nq, 2 or more) int alpha and int alpha / (lambda_g J_g); ghost : (nq,) pressure p_g
         taken : (nq,) sums of V / lambda_g of the particles, with which their ghost matrix takes a change up
         soft, dry : see above
+        merge : function that gives nodes which share a state that state, in conserved variables (n, d + 2)
         """
         s = self.part.space
         self.theta, self.openness, self.flat = theta, openness, flat
@@ -212,7 +198,7 @@ class Mixture(Stages):
         self.moved = np.zeros(len(theta))
         self.moved[self.wet] = (1 - theta[self.wet]) * (self.inverse[self.wet] > 0)
         self.pushed = self.wet if self.ends is None else np.flatnonzero(inverse_mass)
-        self.taken, self.soft, self.dry = taken, soft, dry
+        self.taken, self.soft, self.dry, self.merge = taken, soft, dry, merge
         self.compliance, self.gas_volume = np.zeros(len(filled)), s.pressure_volumes.copy()
         self.compliance[soft] = filled[soft, 1]
         left = s.pressure_volumes[soft] - filled[soft, 0]
@@ -356,6 +342,6 @@ class Mixture(Stages):
         out, rate = np.zeros(len(self.theta)), np.empty(len(self.P))
         rate[soft] = self.taken[soft] / (dt * s.pressure_volumes[soft])
         lists = s.cell_nodes, s.cell_pressures, s.coefficients, s.weights, s.cell_volumes, self.dry
-        shares = self.theta, self.moved, internal, gas, old, new
-        self.lost += dt * add_work(part.shape, *lists, self.P, ghost, rate, *shares, out)
+        shares = self.theta, self.moved, internal, (gas, old, new)
+        self.lost += dt * add_work(part.shape, *lists, (self.P, ghost, rate), *shares, out)
         return part.sum_nodes(out)

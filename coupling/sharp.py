@@ -178,11 +178,10 @@ class Sharp(Mixture):
         part, s = self.part, self.part.space
         out, ones = np.zeros(len(self.theta)), np.ones(len(self.theta))
         lists = s.cell_nodes, s.cell_pressures, s.coefficients, s.weights, s.cell_volumes
-        pressures, nothing = np.where(self.of_gas, self.P, 0.0), np.zeros(len(self.P))
-        dry = np.ones(len(self.P), np.uint8)
-        add_work(
-            part.shape, *lists, dry, pressures, nothing, nothing, ones, 0 * ones, internal, gas, gas, gas, out
-        )
+        nothing, dry = np.zeros(len(self.P)), np.ones(len(self.P), np.uint8)
+        pressures = np.where(self.of_gas, self.P, 0.0), nothing, nothing
+        phases = ones, 0 * ones, internal, (gas, gas, gas)
+        add_work(part.shape, *lists, dry, pressures, *phases, out)
         return out - self.h * np.sum(self.normal * solid, axis=1)
 
     def kicked(self, velocity):

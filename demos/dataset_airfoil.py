@@ -24,8 +24,8 @@ from fempm.run import advance
 import gmsh
 
 from coupling import Flow, IdealGas, Outflow, SlipWall
+from gnn.graph import AIRFOIL, INFLOW, NORMAL, OUTFLOW
 
-NORMAL, AIRFOIL, INFLOW, OUTFLOW = 0, 2, 4, 5
 SIZES = {  # h: mesh size along the aerofoil, growing by `growth` per length up to the circle; frame time in s
     "paper": {"h": 0.016, "growth": 0.097, "radius": 10.0, "frames": 600, "every": 5e-5},
     "mini": {"h": 0.05, "growth": 0.23, "radius": 6.0, "frames": 100, "every": 3e-4},

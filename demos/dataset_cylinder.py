@@ -18,6 +18,7 @@ from navier_stokes import IncompressibleFlow
 from fempm import compat
 from fempm.gmsh_reader import gmsh_model_to_mesh
 from fempm.output import MeshFile
+from gnn.graph import INFLOW, OUTFLOW, WALL
 
 # isort: split
 import gmsh
@@ -26,7 +27,7 @@ from mpi4py import MPI
 LENGTH, HEIGHT, EVERY = 1.6, 0.41, 0.01  # m, m, s
 # Mesh size at the cylinder and from 0.5 m on, in m, and frames: about 500 and 1,900 nodes.
 SIZES = {"mini": (0.02, 0.06, 250), "paper": (0.01, 0.03, 600)}
-NODE_TYPES = {"inlet": 4, "outlet": 5, "walls": 6, "cylinder": 6}
+NODE_TYPES = {"inlet": INFLOW, "outlet": OUTFLOW, "walls": WALL, "cylinder": WALL}
 # Benchmark 2D-2 of Schaefer and Turek, Flow Simulation with High-Performance Computers II, 1996.
 PUBLISHED = {"maximum drag": (3.22, 3.24), "maximum lift": (0.99, 1.01), "Strouhal number": (0.295, 0.305)}
 

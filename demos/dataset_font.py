@@ -23,6 +23,9 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import TextPath
 from scipy.spatial import cKDTree
 
+from gnn.contact import contact_edges
+from gnn.graph import from_cells
+
 LETTERS = string.ascii_letters + string.digits + "&@"
 YOUNG, POISSON, DRAG = 1e5, 0.3, 1e4  # Pa, 1, Pa s/m^2: rubber moves by about YOUNG / DRAG strokes in 1 s
 SPACING, BOX = 1.07, 1.17  # m between the middles of the letters, and from the middle to the walls
@@ -119,7 +122,7 @@ def make(path, size, rng, letters=None, growth=None):
     stretch, step = across(X, cells, segments), 1 / (size["frames"] - 1)
     body = ElasticBody(X, cells, YOUNG, POISSON)
     area = np.bincount(cells.ravel(), np.repeat(body.volumes / 3, 3))
-    edges = np.unique(np.sort(cells[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)), axis=0).T
+    edges = from_cells(X, cells).edges
     x, iterations, pairs = X, 0, []
     with MeshFile(path, X, cells, static={"node_type": np.zeros(len(X), np.int32)}) as file:
         for k in range(size["frames"]):
@@ -130,11 +133,10 @@ def make(path, size, rng, letters=None, growth=None):
                 x, count = minimise(terms, x, np.ones(len(x), bool), 1e-3 * h)
                 iterations += count
             file.write(k * step, position=np.float32(x))
-            short = np.linalg.norm(x[edges[0]] - x[edges[1]], axis=1) < h
-            pairs.append(len(cKDTree(x).query_pairs(h)) - short.sum())
+            pairs.append(len(contact_edges(x, edges, h)))
     distance = np.linalg.norm(contact.pairs(x, contact.layer)[2], axis=1)
     return (
-        f"{letters} times {growth:.2f}, {len(X)} nodes, {len(edges[0])} edges, {iterations} iterations, "
+        f"{letters} times {growth:.2f}, {len(X)} nodes, {len(edges)} edges, {iterations} iterations, "
         f"contact pairs within {h} m: {np.mean(pairs):.0f} on the average, {pairs[-1]} at the end, outlines "
         f"{distance.min(initial=np.inf) / h:.3f} h apart"
     )

@@ -18,7 +18,8 @@ from dataset_airfoil import make_all
 from elastic_bodies import ElasticBody, RigidContact, minimise
 from scipy.spatial import cKDTree
 
-NORMAL, OBSTACLE, HANDLE = 0, 1, 3
+from gnn.graph import HANDLE, NORMAL, OBSTACLE
+
 RADIUS = 0.03  # m, within which nodes of the two bodies count as in contact
 LAYER, START = 0.01, 0.015  # m, the gap at which they push each other, and that at the start
 YOUNG, POISSON = 1e6, 0.4

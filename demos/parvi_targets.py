@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 
 import fempm
-from fempm.parvi_mesh import lattice_mesh
+from fempm.boxes import lattice_mesh
 from fempm.parvi_score import normal_start
 
 WINDOW = 4.0

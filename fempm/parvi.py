@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .boxes import lattice_mesh
 from .locate import LostParticles
 from .output import Progress
 from .parallel import Ranks
 from .particles import Body
 from .parvi_diagnostics import kernel_stein
-from .parvi_mesh import lattice_mesh
 from .parvi_score import Score, widths
 from .solver import Simulation
 from .time_step import cell_sizes
@@ -164,29 +164,24 @@ def sample(
 ):
     """Sample a density of one to three variables, known up to a factor. Collective.
 
-    Time counts in crossing times: of sound, through one standard deviation of the particles as they lie.
-
     Parameters
     ----------
     target : score (n, d) -> (n, d), or log density (n, d) -> (n,), see `Score`
     initial : (n, d) positions, or function (n, rng) -> (n, d) such as `normal_start`: wide for many modes
     mesh : SimplexMesh with, for targets of bounded support, `walls` (kind "slip"); without one a box around
         the particles that grows with them
-    n : number of particles, for an `initial` that is a function
-    size : mesh size of that box, a number or (d,); when not given about half of the target's width, more
-        where that would leave cells without particles
+    n, seed : number of particles and seed, for an `initial` that is a function
+    size : mesh size of that box, a number or (d,); by default about half of the target's width, see `Sampler`
     material : law of the moving body, `IsothermalGas` (exact at rest) unless given; solids for comparison
     amplification : force per mass over the score (the paper's constant): c^2 for the gas, 1 for others
-    transfer : "pic" or "apic", the paper's Algorithms 1 and 2
+    transfer, threads : as for `Simulation`; "pic" and "apic" are the paper's Algorithms 1 and 2
     damping : rate over the speed of sound per standard deviation, 2 being critical for the slowest wave; a
         number or a function of the share of `until` that has passed
     temperature : T >= 1 of the start, from which the target pi^(1/T) cools to pi in the first half
-    until : end of the flow in crossing times, unless `tolerance` ends it
+    until : end of the flow in crossing times (of sound, through a standard deviation of the particles)
     tolerance : net force over the force of the score below which the flow ends, once it is cool and if
         several rows of the history agree; 0 for all of `until`, where modes exchange particles slowly
     torch : `target` works on torch tensors
-    seed : of the generator that `initial` gets
-    threads : threads of the transfers
     progress : show a progress line
 
     Returns
@@ -201,31 +196,29 @@ def sample(
     """
     if not until > 0 or not temperature >= 1:
         raise ValueError(f"until {until}, temperature {temperature}: give more than 0, and at least 1")
+    x = start_positions(initial, n, seed)
+    given = Score(target, x.shape[1], torch), x, mesh, size, walls, material, amplification
+    state = Sampler(*given, {"transfer": transfer, "threads": threads})
+    return state.result(state.run(until, damping, temperature, tolerance, progress))
+
+
+def start_positions(initial, n, seed):
+    """(n, d) initial positions, given or from a function of n and a generator."""
     x = initial(n, np.random.default_rng(seed)) if callable(initial) else initial
     x = np.array(x, float)
     if x.ndim != 2 or len(x) < 2 or not np.isfinite(x).all():
         raise ValueError(f"initial positions of shape {x.shape}: give (n, d) finite numbers, n of at least 2")
-    score = Score(target, x.shape[1], torch)
-    material = IsothermalGas() if material is None else material
-    if amplification is None:
-        amplification = material.speed**2 if isinstance(material, IsothermalGas) else 1.0
-    options = {"transfer": transfer, "threads": threads}
-    state = Sampler(score, x, mesh, size, walls, material, amplification, options)
-    rate = damping if callable(damping) else lambda share: damping
-    bar = Progress(until, "crossings") if progress and Ranks().rank == 0 else None
-    try:
-        settled = state.run(until, rate, temperature, tolerance, bar)
-    finally:
-        if bar:
-            bar.close()
-    return state.result(settled)
+    return x
 
 
 class Sampler:
     """A flow, the mesh that grows with it, and its history; what `sample` runs."""
 
     def __init__(self, score, x, mesh, size, walls, material, amplification, options):
-        self.score, self.material, self.amplification, self.options = score, material, amplification, options
+        self.material = IsothermalGas() if material is None else material
+        if amplification is None:
+            amplification = self.material.speed**2 if isinstance(self.material, IsothermalGas) else 1.0
+        self.score, self.amplification, self.options = score, amplification, options
         self.mesh, self.walls, self.own_mesh, self.fixed_size = mesh, walls, mesh is None, size is not None
         d = x.shape[1]
         if self.own_mesh and len(walls):
@@ -276,8 +269,18 @@ class Sampler:
         given = (self.mesh, body, self.walls, self.score, self.amplification)
         self.flow = Flow(*given, gradient=gradient, **self.options)
 
-    def run(self, until, damping, temperature, tolerance, bar):
+    def run(self, until, damping, temperature, tolerance, progress):
         """Flow until the net force is below `tolerance` or the time is over; whether it is. Collective."""
+        bar = Progress(until, "crossings") if progress and Ranks().rank == 0 else None
+        damping_at = damping if callable(damping) else lambda share: damping
+        try:
+            return self.relax(until, damping_at, temperature, tolerance, bar)
+        finally:
+            if bar:
+                bar.close()
+
+    def relax(self, until, damping, temperature, tolerance, bar):
+        """What `run` does, with damping as a function and a progress line, or None."""
         flow, marks = self.flow, 0
         while self.clock < until:
             share = self.clock / until

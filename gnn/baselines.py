@@ -58,7 +58,7 @@ class MeshGraphNets(nn.Module):
     def forward(self, batch, features):
         """(N, num_outputs) of a GraphBatch and features (N, num_inputs)."""
         check_batch(batch, self.contact, self.world)
-        sets = level_edges(batch.levels[0], batch.material, batch.world, self.world)
+        sets = level_edges(batch.levels[0].ends, batch.material, batch.world, self.world)
         ends = [(s.senders, s.receivers) for s in sets]
         v, latents = self.encoder(features), [mlp(s.offsets) for mlp, s in zip(self.edge_encoders, sets)]
         for step in self.steps:
@@ -177,7 +177,7 @@ class MSGNNGrid(nn.Module):
     def forward(self, batch, features):
         """(N, num_outputs) of a GraphBatch and features (N, num_inputs)."""
         check_batch(batch, self.contact, self.world)
-        sets = level_edges(batch.levels[0], batch.material, batch.world, self.world)
+        sets = level_edges(batch.levels[0].ends, batch.material, batch.world, self.world)
         ends = [[(s.senders, s.receivers) for s in sets]]
         levels = self.levels(batch, ends[0])
         v, latents = self.encoder(features), [mlp(s.offsets) for mlp, s in zip(self.edge_encoders, sets)]

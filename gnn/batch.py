@@ -28,6 +28,11 @@ class LevelGraph:
     kept: torch.Tensor | None
     contact: tuple | None = None
 
+    @property
+    def ends(self):
+        """Senders and receivers of the mesh's edges, and of the contact edges where there are some."""
+        return [(self.senders, self.receivers)] + ([] if self.contact is None else [self.contact])
+
 
 @dataclass
 class GraphBatch:

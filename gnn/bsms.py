@@ -76,7 +76,7 @@ class BSMS(nn.Module):
         material, world = batch.material, batch.world
         sets, tables = [], []
         for level in batch.levels[: self.depth + 1]:
-            sets.append(level_edges(level, material, world, self.world))
+            sets.append(level_edges(level.ends, material, world, self.world))
             tables.append(None if level.kept is None else self.table(level, material))
             if level.kept is not None:
                 average = contribution(level, material)

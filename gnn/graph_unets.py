@@ -5,7 +5,7 @@ import scipy.sparse as sp
 import torch
 from torch import nn
 
-from .message_passing import MLP, MessagePassing, check_batch, edge_set, offset_widths
+from .message_passing import MLP, MessagePassing, check_batch, level_edges, offset_widths
 
 
 def matrix(senders, receivers, n):
@@ -67,20 +67,14 @@ class GraphUNets(nn.Module):
         self.down, self.bottom, self.up = passings(depth), MessagePassing(latent, widths), passings(depth)
         self.scores = nn.ModuleList(nn.Linear(latent, 1) for _ in range(depth))
 
-    def sets(self, ends, material, world):
-        """Edge sets of a level with positions (n, d) there."""
-        own = (material, world) if self.world else (material,)
-        contact = material if world is None else world
-        return [edge_set(*ends[0], *own)] + [edge_set(*e, contact) for e in ends[1:]]
-
     def forward(self, batch, features):
         """(N, num_outputs) of a GraphBatch and features (N, num_inputs)."""
         check_batch(batch, self.contact, self.world)
         level, x, world, graph = batch.levels[0], batch.material, batch.world, batch.graph_of_node
-        ends = [(level.senders, level.receivers)] + ([level.contact] if self.contact else [])
+        ends = level.ends
         v, above = self.encoder(features), []
         for passing, score in zip(self.down, self.scores):
-            sets = self.sets(ends, x, world)
+            sets = level_edges(ends, x, world, self.world)
             v = passing(v, sets)
             gate = torch.sigmoid(score(v)[:, 0] / score.weight.norm())
             kept = highest(gate.detach(), graph, self.ratio)
@@ -89,7 +83,7 @@ class GraphUNets(nn.Module):
             v = v.index_select(0, kept) * gate.index_select(0, kept)[:, None]
             x, graph = x[kept], graph[kept]
             world = None if world is None else world[kept]
-        v = self.bottom(v, self.sets(ends, x, world))
+        v = self.bottom(v, level_edges(ends, x, world, self.world))
         for passing, (skip, sets, kept) in zip(self.up, reversed(above)):
             v = skip.new_zeros(skip.shape).index_add_(0, kept, v.to(skip.dtype))
             v = skip + passing(v, sets)

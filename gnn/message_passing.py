@@ -99,12 +99,11 @@ def check_batch(batch, contact, world):
         raise ValueError(f"model with contact={contact}: the batch has {has} contact edges, make them agree")
 
 
-def level_edges(level, material, world, with_world):
-    """Edge sets of a LevelGraph with positions (n, d) there: the mesh's, and the contact edges it has."""
-    sets = [edge_set(level.senders, level.receivers, material, *([world] if with_world else []))]
-    if level.contact is not None:
-        sets.append(edge_set(*level.contact, material if world is None else world))
-    return sets
+def level_edges(ends, material, world, with_world):
+    """Edge sets with positions (n, d): of the mesh's `ends`, and of contact edges where they follow."""
+    contact = material if world is None else world
+    own = (material, world) if with_world else (material,)
+    return [edge_set(*ends[0], *own)] + [edge_set(*e, contact) for e in ends[1:]]
 
 
 class EdgeSum(torch.autograd.Function):

@@ -38,6 +38,15 @@ def panels(graph, truth, found, deforms):
     ]
 
 
+def all_panels(graph, truth, found, chosen, deforms):
+    """Panels of each of the chosen moments, and the scales (low, high, colours) of their titles."""
+    rows = [panels(graph, truth[k], found[k], deforms) for k in chosen]
+    fields = [values for row in rows for _, values, _ in row[:2]]
+    scale = min(v.min() for v in fields), max(v.max() for v in fields), "viridis"
+    worst = max(row[2][1].max() for row in rows) or 1.0
+    return rows, {"truth": scale, "prediction": scale, "error": (0.0, worst, "magma")}
+
+
 def rollout_strip(path, graph, times, truth, found, moments=4, name="", deforms=False):
     """PNG with a column for each of some moments; truth and found are (nt, n[, c]).
 
@@ -48,20 +57,17 @@ def rollout_strip(path, graph, times, truth, found, moments=4, name="", deforms=
     from matplotlib.figure import Figure
 
     chosen = np.unique(np.linspace(0, len(times) - 1, moments + 1).round().astype(int))[1:]
-    rows = [panels(graph, truth[k], found[k], deforms) for k in chosen]
-    low, high = bounds(rows)
-    worst = max(row[2][1].max() for row in rows) or 1.0
+    rows, scales = all_panels(graph, truth, found, chosen, deforms)
     figure = Figure(figsize=(4 * len(chosen), 5), layout="constrained")
     axes = figure.subplots(3, len(chosen), squeeze=False)
     for column, (k, row) in enumerate(zip(chosen, rows)):
         for line, (title, values, points) in enumerate(row):
-            ax = axes[line, column]
-            if title == "error":
-                draw(ax, graph, values, 0.0, worst, points, "magma")
-            else:
-                draw(ax, graph, values, low, high, points)
-            ax.set_title(f"{name} {title}, t = {times[k]:.3g}" if line == 0 else title, fontsize=9)
-    figure.suptitle(f"{low:.3g} to {high:.3g}; error up to {worst:.3g}", fontsize=9)
+            low, high, colours = scales[title]
+            draw(axes[line, column], graph, values, low, high, points, colours)
+            text = f"{name} {title}, t = {times[k]:.3g}" if line == 0 else title
+            axes[line, column].set_title(text, fontsize=9)
+    low, high, _ = scales["truth"]
+    figure.suptitle(f"{low:.3g} to {high:.3g}; error up to {scales['error'][1]:.3g}", fontsize=9)
     figure.savefig(path, dpi=110)
     return path
 
@@ -73,9 +79,7 @@ def rollout_film(path, graph, times, truth, found, name="", deforms=False, most=
     from matplotlib.figure import Figure
 
     chosen = np.unique(np.linspace(0, len(times) - 1, most).round().astype(int))
-    rows = [panels(graph, truth[k], found[k], deforms) for k in chosen]
-    low, high = bounds(rows)
-    worst = max(row[2][1].max() for row in rows) or 1.0
+    rows, scales = all_panels(graph, truth, found, chosen, deforms)
     figure = Figure(figsize=(6, 6), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(3, 1)
@@ -83,19 +87,13 @@ def rollout_film(path, graph, times, truth, found, name="", deforms=False, most=
     def frame(k):
         for ax, (title, values, points) in zip(axes, rows[k]):
             ax.clear()
-            scale = (0.0, worst, points, "magma") if title == "error" else (low, high, points)
-            draw(ax, graph, values, *scale)
+            low, high, colours = scales[title]
+            draw(ax, graph, values, low, high, points, colours)
             ax.set_title(f"{name} {title}, t = {times[chosen[k]]:.3g}", fontsize=9)
 
     film = FuncAnimation(figure, frame, frames=len(chosen))
     film.save(path, writer=PillowWriter(fps=12))
     return path
-
-
-def bounds(rows):
-    """Least and largest value of truth and prediction in all panels."""
-    values = [values for row in rows for _, values, _ in row[:2]]
-    return min(v.min() for v in values), max(v.max() for v in values)
 
 
 def levels_picture(path, named, most=6):

@@ -32,17 +32,18 @@ def rollout(predictor, meshes, i, steps=None, start=0, boundary="prescribed"):
     if steps < 1:
         raise ValueError(f"start {start}: {trajectory.path} has {len(trajectory)} frames")
     device = next(predictor.parameters()).device
-    learned = torch.from_numpy(meshes.learned(i)).to(device)
-    state = torch.from_numpy(meshes.state(i, start)).to(device)
+    learned, now = torch.from_numpy(meshes.learned(i)).to(device), meshes.state(i, start)
+    state = torch.from_numpy(now).to(device)
     deforms, batch = bool(predictor.config.position), None
     states, directs, begin = [state.cpu().numpy()], [], time.perf_counter()
     with torch.no_grad():
         for k in range(start, start + steps):
             if batch is None or deforms:
                 batch = meshes.batch(i, state.cpu().numpy() if deforms else None).to(device)
-            motion = torch.from_numpy(meshes.motion(i, k)).to(device) if deforms else None
+            after = meshes.state(i, k + 1)
+            motion = meshes.motion(i, after - now).to(device) if deforms else None
             new, direct = predictor.step(batch, state, motion)
-            given = state if boundary == "frozen" else torch.from_numpy(meshes.state(i, k + 1)).to(device)
+            given, now = state if boundary == "frozen" else torch.from_numpy(after).to(device), after
             state = torch.where(learned[:, None], new, given)
             states.append(state.cpu().numpy())
             directs.append(direct.cpu().numpy())

@@ -100,11 +100,10 @@ class Meshes:
         """(n,) bool, nodes whose type is predicted."""
         return np.isin(self[i][0].graph.node_type, self.config.predicted)
 
-    def motion(self, i, k):
-        """(n, d) change of position from frame k to the next where it is prescribed, zero elsewhere."""
-        types = self[i][0].graph.node_type
-        moving = np.isin(types, self.config.moving)[:, None]
-        return np.where(moving, self.state(i, k + 1) - self.state(i, k), 0).astype(np.float32)
+    def motion(self, i, change):
+        """(n, d) change of position from one frame to the next where it is prescribed, zero elsewhere."""
+        moving = np.isin(self[i][0].graph.node_type, self.config.moving)
+        return torch.from_numpy(np.where(moving[:, None], change, np.float32(0)))
 
 
 def check_fields(trajectory, config):
@@ -141,7 +140,7 @@ def make_sample(meshes, i, k, rng=None):
         scales = noise_scales(trajectory, config) * learned[:, None]
         state = (clean + scales * rng.standard_normal(clean.shape)).astype(np.float32)
     world = state if config.position else None
-    motion = torch.from_numpy(meshes.motion(i, k)) if config.position else None
+    motion = meshes.motion(i, after - clean) if config.position else None
     target = after - state
     if config.direct:
         target = np.concatenate([target, stack(trajectory, config.direct, k + 1)], axis=1)

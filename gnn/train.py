@@ -46,15 +46,14 @@ class Training:
         if not 0 <= config.held_out < len(paths):
             raise ValueError(f"held_out {config.held_out}: {config.data} has {len(paths)} trajectories")
         split = len(paths) - config.held_out
-        length = mean_edge_length(Meshes(paths[:split], config))
-        self.meshes = Meshes(paths[:split], config, length)
-        self.held_out = Meshes(paths[split:], config, length)
+        self.meshes, self.held_out = Meshes(paths[:split], config), Meshes(paths[split:], config)
+        self.meshes.length = self.held_out.length = mean_edge_length(self.meshes)
         self.frames = count_frames(self.meshes)
         self.predictor = make_predictor(config, self.meshes).to(self.device)
         self.predictor.fit_normalisation(self.meshes, self.frames)
-        self.parallel = self.predictor
+        self.terms = Terms(self.predictor)
         if self.size > 1:
-            self.parallel = torch.nn.parallel.DistributedDataParallel(Terms(self.predictor))
+            self.terms = torch.nn.parallel.DistributedDataParallel(self.terms)
         self.optimizer = torch.optim.AdamW(
             self.predictor.parameters(), lr=config.rate, weight_decay=config.weight_decay, fused=True
         )
@@ -108,10 +107,7 @@ class Training:
         sample = join_samples([self.sample(n) for n in self.chosen()]).to(self.device)
         self.optimizer.zero_grad(set_to_none=True)
         with torch.autocast("cuda", torch.bfloat16, enabled=self.device.type == "cuda"):
-            if self.size > 1:
-                total, count = self.parallel(sample)
-            else:
-                total, count = self.predictor.loss_terms(sample)
+            total, count = self.terms(sample)
         # gradients are averaged over the processes: times their number, over the nodes of all of them
         sums = self.summed(torch.tensor([total.item(), count], dtype=torch.float64))
         (total * (self.size / sums[1].item())).backward()

@@ -9,8 +9,6 @@ import meshio
 import numpy as np
 import pytest
 
-pytest.importorskip("scipy")
-pytest.importorskip("gmsh")
 sys.path.insert(0, str(Path(__file__).parent.parent / "demos"))
 from fempm import compat  # noqa: E402
 

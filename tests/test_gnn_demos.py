@@ -6,9 +6,9 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
+import torch
 from matplotlib.image import imread
 
-torch = pytest.importorskip("torch")
 sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
 
 

@@ -8,17 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from scipy.spatial import Delaunay
 
-torch = pytest.importorskip("torch")
-
-from scipy.spatial import Delaunay  # noqa: E402
-
-from gnn.config import Config, preset  # noqa: E402
-from gnn.graph import HANDLE, NORMAL, OBSTACLE, WALL, from_cells  # noqa: E402
-from gnn.rollout import evaluate, rollout  # noqa: E402
-from gnn.samples import Meshes, find_trajectories, make_sample  # noqa: E402
-from gnn.train import BadCheckpoint, Training, load_predictor, read_checkpoint, train  # noqa: E402
-from gnn.trajectory import write_trajectory  # noqa: E402
+from gnn.config import Config, preset
+from gnn.graph import HANDLE, NORMAL, OBSTACLE, WALL, from_cells
+from gnn.rollout import evaluate, rollout
+from gnn.samples import Meshes, find_trajectories, make_sample
+from gnn.train import BadCheckpoint, Training, load_predictor, read_checkpoint, train
+from gnn.trajectory import write_trajectory
 
 SMALL = {"latent": 16, "depth": 2, "batch": 2, "noise": (0.01,), "held_out": 1, "look_every": 1000}
 DECAY = 0.8  # of the field in a step
@@ -39,14 +37,14 @@ def square(rng, n=60):
     return from_cells(points, mesh.simplices, types)
 
 
-def decaying(folder, count=3, frames=8, name="velocity"):
+def decaying(folder, count=3, frames=8):
     """Trajectories of fields that decay by the factor DECAY in every step."""
     rng = np.random.default_rng(0)
     for i in range(count):
         graph = square(rng)
         start = rng.standard_normal((len(graph.points), 2))
         values = start * DECAY ** np.arange(frames)[:, None, None]
-        write_trajectory(folder / f"t_{i}.xdmf", graph, 0.1 * np.arange(frames), {name: values})
+        write_trajectory(folder / f"t_{i}.xdmf", graph, 0.1 * np.arange(frames), {"velocity": values})
     return folder
 
 

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 import fempm
-from fempm.boxes import box_mesh
+from fempm.boxes import box_mesh, lattice_mesh
 from fempm.parallel import Ranks
 from fempm.parvi import IsothermalGas, sample
 from fempm.parvi_diagnostics import kernel_stein, mmd2, sliced_wasserstein, stationary_residual
-from fempm.parvi_mesh import lattice_mesh
 from fempm.parvi_score import Score, normal_start, widths
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "demos"))
