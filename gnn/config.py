@@ -24,8 +24,9 @@ class Config:
     model, latent, depth, transition, steps_flat : see `models.make_model`
     seeding, top_up : see `hierarchy.build_hierarchy`
     batch : meshes in a step; steps : of the training
-    rate, last_rate : of Adam at the start and, after an exponential decay, at the end
-    weight_decay, clip : of AdamW; largest norm of the gradient
+    optimizer : "muon" or "adamw", see `optimizers`
+    rate, last_rate : of the optimiser at its peak and, after a fall along a cosine, at the end
+    weight_decay, clip : of the optimiser; largest norm of the gradient
     minutes : stop after that long, with the schedule by time; 0 for `steps`
     look_every, look_steps : how often to roll a held-out trajectory out, and how far
     save_minutes : between checkpoints
@@ -50,6 +51,7 @@ class Config:
     top_up: bool = True
     batch: int = 4
     steps: int = 100_000
+    optimizer: str = "muon"
     rate: float = 1e-3
     last_rate: float = 1e-5
     weight_decay: float = 0.0

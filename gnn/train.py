@@ -1,4 +1,4 @@
-"""Training: noise on the inputs, Adam, exact checkpoints, several processes by torchrun."""
+"""Training: noise on the inputs, Muon or Adam, exact checkpoints, several processes by torchrun."""
 
 import json
 import os
@@ -10,12 +10,23 @@ import numpy as np
 import torch
 import torch.distributed as dist
 
+from .optimizers import learning_rate, make_optimizers
 from .predictor import from_description, make_predictor
 from .rollout import evaluate
 from .samples import Meshes, count_frames, find_trajectories, join_samples, make_sample, mean_edge_length
 
 # settings that a checkpoint and the training that goes on from it have in common
-SAME = ("model", "latent", "depth", "fields", "direct", "position", "contact_radius", "transition")
+SAME = (
+    "model",
+    "latent",
+    "depth",
+    "fields",
+    "direct",
+    "position",
+    "contact_radius",
+    "transition",
+    "optimizer",
+)
 
 
 class BadCheckpoint(ValueError):
@@ -54,9 +65,7 @@ class Training:
         self.terms = Terms(self.predictor)
         if self.size > 1:
             self.terms = torch.nn.parallel.DistributedDataParallel(self.terms)
-        self.optimizer = torch.optim.AdamW(
-            self.predictor.parameters(), lr=config.rate, weight_decay=config.weight_decay, fused=True
-        )
+        self.optimizers = make_optimizers(self.predictor, config)
         self.step, self.seconds = 0, 0.0
 
     def run(self):
@@ -70,7 +79,7 @@ class Training:
                     loss, norm = self.train_step(done)
                     self.seconds += self.agreed(time.monotonic() - begin)
                     row = {"step": self.step, "loss": loss, "norm": norm, "seconds": self.seconds}
-                    row["rate"] = self.optimizer.param_groups[0]["lr"]
+                    row["rate"] = self.optimizers[0].param_groups[0]["lr"]
                     if self.step % c.look_every == 0:
                         row |= self.look()
                     if self.rank == 0:
@@ -100,19 +109,21 @@ class Training:
         return shared.item()
 
     def train_step(self, done):
-        """One step of Adam; returns the mean squared error of all processes and the norm of the gradient."""
+        """One step; returns the mean squared error of all processes and the norm of the gradient."""
         c = self.config
-        for group in self.optimizer.param_groups:
-            group["lr"] = c.rate * (c.last_rate / c.rate) ** min(done, 1.0)
+        for optimizer in self.optimizers:
+            for group in optimizer.param_groups:
+                group["lr"] = learning_rate(c, done)
         sample = join_samples([self.sample(n) for n in self.chosen()]).to(self.device)
-        self.optimizer.zero_grad(set_to_none=True)
+        self.predictor.zero_grad(set_to_none=True)
         with torch.autocast("cuda", torch.bfloat16, enabled=self.device.type == "cuda"):
             total, count = self.terms(sample)
         # gradients are averaged over the processes: times their number, over the nodes of all of them
         sums = self.summed(torch.tensor([total.item(), count], dtype=torch.float64))
         (total * (self.size / sums[1].item())).backward()
         norm = torch.nn.utils.clip_grad_norm_(self.predictor.parameters(), c.clip)
-        self.optimizer.step()
+        for optimizer in self.optimizers:
+            optimizer.step()
         self.step += 1
         return (sums[0] / sums[1]).item(), norm.item()
 
@@ -147,7 +158,10 @@ class Training:
         if self.rank:
             return
         state = {"kind": "gnn training", "step": self.step, "seconds": self.seconds}
-        state |= {"predictor": self.predictor.state_dict(), "optimizer": self.optimizer.state_dict()}
+        state |= {
+            "predictor": self.predictor.state_dict(),
+            "optimizers": [o.state_dict() for o in self.optimizers],
+        }
         state |= {"about": self.predictor.describe(), "random": torch.get_rng_state()}
         part = self.out / "checkpoint.part"
         torch.save(state, part)
@@ -170,7 +184,8 @@ class Training:
         self.predictor.length = theirs["length"]
         for meshes in (self.meshes, self.held_out):
             meshes.length = theirs["length"]
-        self.optimizer.load_state_dict(state["optimizer"])
+        for optimizer, kept in zip(self.optimizers, state["optimizers"], strict=True):
+            optimizer.load_state_dict(kept)
         torch.set_rng_state(state["random"])
         self.step, self.seconds = state["step"], state["seconds"]
 
