@@ -15,6 +15,7 @@ smooth rest, which is of second order anyway. Hence the cap on iterations.
 import numpy as np
 from numba import njit
 
+from .cell_shapes import equal_cells
 from .lane_memory import add_totals, borrow, entry, load, scratch, store, take, take_matrix, zeros
 from .lanes import WIDTH, dot, formula
 from .simplex import quadrature
@@ -32,6 +33,7 @@ from .weights import (
 )
 
 ROWS_SIZE = MAX_RING * 4 * WIDTH
+FEW = 0.1  # shapes over cells below which it costs next to nothing to look at the integrals first
 
 
 def correct(kernel, mesh, layer, tolerance=1e-11, max_iterations=300):
@@ -50,13 +52,15 @@ def correct(kernel, mesh, layer, tolerance=1e-11, max_iterations=300):
         largest plain integral `before`, largest corrected one `after` (both relative to the volume
         of the support over its size), `iterations`, and `solved`, False where nothing was to do
     """
-    row_start, column, matrix, integral, volume = assemble(kernel)
-    scale = volume * kernel.inverse_support
-    conditions = Conditions(kernel, mesh, layer)
-    target = conditions.fold(integral) * conditions.rows
-    before = np.abs(target[scale > 0] / scale[scale > 0, None]).max(initial=0.0)
+    shapes, conditions = equal_cells(kernel), Conditions(kernel, mesh, layer)
+    look_first = len(shapes[1]) < FEW * len(kernel.cells)
+    found = assemble(kernel, shapes, matrix_too=not look_first)
+    target, before = conditions.largest(kernel, *found[-2:])
     if before < 1e-10:
         return {"before": before, "after": before, "iterations": 0, "solved": False}
+    if look_first:
+        found = assemble(kernel, shapes)
+    row_start, column, matrix, integral, volume = found
     phi, iterations = least_squares(
         conditions,
         row_start,
@@ -68,8 +72,7 @@ def correct(kernel, mesh, layer, tolerance=1e-11, max_iterations=300):
         tolerance,
         max_iterations,
     )
-    residual = conditions.fold(integral + multiply(row_start, column, matrix, phi)) * conditions.rows
-    after = np.abs(residual[scale > 0] / scale[scale > 0, None]).max()
+    _, after = conditions.largest(kernel, integral + multiply(row_start, column, matrix, phi), volume)
     kernel.phi = phi
     return {"before": before, "after": after, "iterations": iterations, "solved": True}
 
@@ -99,6 +102,11 @@ class Conditions:
         np.add.at(out, layer.source, folded)
         out[layer.vertices] = np.einsum("wab,wb->wa", layer.project, out[layer.vertices])
         return out
+
+    def largest(self, kernel, integrals, volume):
+        """What is left of integrals (nv, d) where there is a condition, and the largest of it to scale."""
+        left, scale = self.fold(integrals) * self.rows, volume * kernel.inverse_support
+        return left, np.abs(left[scale > 0] / scale[scale > 0, None]).max(initial=0.0)
 
     def unfold(self, values):
         """Transpose of `fold`."""
@@ -155,20 +163,22 @@ def least_squares(
     return right * solution.array_r.reshape(shape), solver.its
 
 
-def assemble(kernel):
-    """K as CSR (row_start, column, values), plain integrals r (nv, d) and volumes int w (nv,)."""
-    nv = len(kernel.points)
+def assemble(kernel, shapes, matrix_too=True):
+    """K as CSR (row_start, column, values) or three times None, integrals r (nv, d) and int w (nv,)."""
+    nv, row_start, column, matrix = len(kernel.points), None, None, None
     points, w = quadrature(kernel.dim)
     idle = -len(w) % WIDTH  # points of zero weight fill the last lanes
     rule = np.column_stack([np.append(points, points[:idle], axis=0), np.append(w, np.zeros(idle))])
     rule = np.ascontiguousarray(rule.reshape(-1, WIDTH, kernel.dim + 2).swapaxes(1, 2))
     volumes = np.abs(1.0 / np.linalg.det(kernel.inverse)) / [1, 1, 2, 6][kernel.dim]
-    ring = (kernel.ring_start, kernel.ring_vertex)
-    cell_start, cell_of = ring_cells(*ring, nv)
-    row_start = matrix_rows(*ring, cell_start, cell_of, nv)
-    column = matrix_columns(*ring, cell_start, cell_of, row_start, nv)
-    matrix, integral = np.zeros(len(column)), np.zeros((nv, 1 + kernel.dim))
-    integrate(kernel.axes, kernel.rings, volumes, rule, row_start, column, matrix, integral)
+    if matrix_too:
+        ring = (kernel.ring_start, kernel.ring_vertex)
+        cell_start, cell_of = ring_cells(*ring, nv)
+        row_start = matrix_rows(*ring, cell_start, cell_of, nv)
+        column = matrix_columns(*ring, cell_start, cell_of, row_start, nv)
+        matrix = np.zeros(len(column))
+    integral = np.zeros((nv, 1 + kernel.dim))
+    integrate(kernel.axes, kernel.rings, volumes, rule, shapes, row_start, column, matrix, integral)
     return row_start, column, matrix, integral[:, 1:], integral[:, 0]
 
 
@@ -266,21 +276,29 @@ def edge_corners(axes, cell, rings, table):
 
 
 @njit(**options)
-def integrate(axes, rings, volumes, rule, row_start, column, matrix, integral):
+def integrate(axes, rings, volumes, rule, shapes, row_start, column, matrix, integral):
     """Add the integrals of all cells to K and to int w and r.
 
     Parameters
     ----------
     rule : (batches, d + 2, WIDTH) barycentric coordinates and weight of WIDTH points at a time
-    matrix : values of K
+    shapes : see `equal_cells`
+    matrix : values of K, or None
     integral : (nv, 1 + d)
     """
+    (cells, start, place), vertex = shapes, rings.vertex
     lent, t, corners = borrow(rings), scratch(TABLE_SIZE), scratch(9)
     rows, columns, sums = scratch(ROWS_SIZE), scratch(ROWS_SIZE), scratch(ROWS_SIZE)
     products = np.empty(MAX_RING * MAX_RING * WIDTH)
+    found, whole, at_place = (
+        np.empty((MAX_RING, MAX_RING)),
+        np.empty((MAX_RING, 1 + len(axes))),
+        np.empty(MAX_RING, np.int64),
+    )
     nothing = zeros((0, *axes))  # a row
     size = len(nothing)
-    for c in range(len(volumes)):
+    for shape in range(len(start) - 1):
+        c = cells[start[shape]]
         ring = ring_of(axes, c, lent)
         first, n, frame = ring
         others = edge_corners(axes, c, lent, corners)
@@ -303,24 +321,46 @@ def integrate(axes, rings, volumes, rule, row_start, column, matrix, integral):
                 for j in range(n):
                     at, column_j = k * n + j, load(columns, j * size, nothing)
                     store(products, at, add_dot(load(products, at, dv), row_k, column_j))
+        found[:n, :n], whole[:n] = 0.0, 0.0
         for k in range(n):
-            v = entry(lent.vertex, first + k)
-            add_totals(integral, v * size, load(sums, k * size, nothing))
-            at = row_start[v]
+            at_place[place[first + k]] = k
+            add_totals(whole, k * size, load(sums, k * size, nothing))
             for j in range(n):
-                while column[at] < entry(lent.vertex, first + j):
-                    at += 1
-                add_totals(matrix, at, load(products, k * n + j, nothing[0]))
+                add_totals(found, k * MAX_RING + j, load(products, k * n + j, nothing[0]))
+        for cell in cells[start[shape] : start[shape + 1]]:
+            own = range(rings.start[cell], rings.start[cell + 1])
+            for k in own:
+                v, row = vertex[k], at_place[place[k]]
+                for a in range(size):
+                    integral[v, a] += whole[row, a]
+                if matrix is not None:
+                    at = row_start[v]
+                    for j in own:
+                        while column[at] < vertex[j]:
+                            at += 1
+                        matrix[at] += found[row, at_place[place[j]]]
 
 
 @njit(cache=True)
 def multiply(row_start, column, values, x):
     """CSR matrix times (n, d) array."""
-    y = np.zeros((len(row_start) - 1, x.shape[1]))
-    for i in range(len(row_start) - 1):
+    n, d = len(row_start) - 1, x.shape[1]
+    y, padded = np.zeros((n, d)), np.zeros((len(x), 3))
+    for a in range(d):
+        for i in range(len(x)):
+            padded[i, a] = x[i, a]
+    for i in range(n):
+        s, t, u = 0.0, 0.0, 0.0
         for j in range(row_start[i], row_start[i + 1]):
-            for a in range(x.shape[1]):
-                y[i, a] += values[j] * x[column[j], a]
+            v, k = values[j], column[j]
+            s += v * padded[k, 0]
+            t += v * padded[k, 1]
+            u += v * padded[k, 2]
+        y[i, 0] = s
+        if d > 1:
+            y[i, 1] = t
+        if d > 2:
+            y[i, 2] = u
     return y
 
 

@@ -5,6 +5,7 @@ import pytest
 from mesh_factory import MESHES, cube, gmsh_cube, graded_interval, rectangle
 
 import fempm
+from fempm.cell_shapes import equal_cells
 from fempm.consistency import Conditions, assemble, correct
 from fempm.kernel import build_kernel, evaluate_many
 from fempm.simplex import quadrature, refine
@@ -68,7 +69,7 @@ def test_matrix_rows_annihilate_constants():
     """K 1 = 0: a constant phi changes nothing (sum w = 1, sum w (x_k - x) = 0)."""
     mesh = rectangle(8, 8)
     kernel = build_kernel(mesh, wall_layer(mesh, [Wall()]))
-    row_start, _, values, _, volume = assemble(kernel)
+    row_start, _, values, _, volume = assemble(kernel, equal_cells(kernel))
     sums = np.add.reduceat(values, row_start[:-1])
     assert np.abs(sums).max() < 1e-13 * volume.max()
 
@@ -76,5 +77,21 @@ def test_matrix_rows_annihilate_constants():
 def test_volumes_add_up():
     """sum_k int w_k = volume of the mesh."""
     mesh = gmsh_cube(0.3)
-    volume = assemble(build_kernel(mesh, wall_layer(mesh, [Wall()])))[-1]
+    kernel = build_kernel(mesh, wall_layer(mesh, [Wall()]))
+    volume = assemble(kernel, equal_cells(kernel))[-1]
     assert volume.sum() == pytest.approx(1.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("lower, upper", [((0, 0), (1, 0.6)), ((0, 0, 0), (1, 0.6, 0.4))])
+def test_copies_of_cells(lower, upper):
+    """Integrals over few cells of a box are those over all, to round-off; irregular cells all differ."""
+    mesh = fempm.box_mesh(lower, upper, 0.08)
+    kernel = build_kernel(mesh, wall_layer(mesh, [Wall("bottom", "slip"), Wall("left")]))
+    cells, start, place = equal_cells(kernel)
+    assert len(start) < 0.6 * len(mesh.cells)
+    ring = np.concatenate([np.arange(n) for n in np.diff(kernel.ring_start)]).astype(np.int16)
+    each = np.arange(len(mesh.cells)), np.arange(len(mesh.cells) + 1), ring
+    for few, all_cells in zip(assemble(kernel, (cells, start, place)), assemble(kernel, each)):
+        assert np.abs(few - all_cells).max() <= 1e-13 * np.abs(all_cells).max()
+    mesh = rectangle(5, 5)
+    assert len(equal_cells(build_kernel(mesh, wall_layer(mesh, [])))[1]) == len(mesh.cells) + 1
