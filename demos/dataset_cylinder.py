@@ -25,8 +25,8 @@ import gmsh
 from mpi4py import MPI
 
 LENGTH, HEIGHT, EVERY = 1.6, 0.41, 0.01  # m, m, s
-# Mesh size at the cylinder and from 0.5 m on, in m, and frames: about 500 and 1,900 nodes.
-SIZES = {"mini": (0.02, 0.06, 250), "paper": (0.01, 0.03, 600)}
+# Mesh size at the cylinder and from 0.5 m on, in m, and frames: about 500, 3,000 and 1,900 nodes.
+SIZES = {"mini": (0.02, 0.06, 250), "large": (0.008, 0.024, 250), "paper": (0.01, 0.03, 600)}
 NODE_TYPES = {"inlet": INFLOW, "outlet": OUTFLOW, "walls": WALL, "cylinder": WALL}
 # Benchmark 2D-2 of Schaefer and Turek, Flow Simulation with High-Performance Computers II, 1996.
 PUBLISHED = {"maximum drag": (3.22, 3.24), "maximum lift": (0.99, 1.01), "Strouhal number": (0.295, 0.305)}

@@ -170,7 +170,7 @@ def double_banana():
         f = rosenbrock(x)
         return -x - ((np.log(f) - np.log(30)) / 0.09 / f)[:, None] * slope
 
-    return from_grid(log_density, score, 3.0, size=0.08)
+    return from_grid(log_density, score, 3.0, size=0.05, temperature=100.0)
 
 
 def two_moons():

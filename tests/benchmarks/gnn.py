@@ -20,4 +20,5 @@ def gnn_benchmarks(folder, quick, table, write_csv):
     accuracy.make_data(data, 6 if quick else 20)
     show("models", f"after {minutes} minutes (table 4.5)", accuracy.architectures(data, out, minutes))
     show("transitions", f"after {minutes} minutes (table 4.7)", accuracy.transitions(data, out, minutes))
+    show("larger", "on finer meshes than those of the training", accuracy.larger_meshes(data, out))
     show("seeds", "other seeds than in the training (table 4.8)", accuracy.seeding(data, out))

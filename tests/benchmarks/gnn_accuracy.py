@@ -10,13 +10,20 @@ ROOT = Path(__file__).parents[2]
 ARCHITECTURES = ("bsms", "meshgraphnets", "ms_gnn_grid", "graph_unets")
 TRANSITIONS = ("contribution", "none", "graph_conv", "position_kernel", "learnable")
 HELD_OUT = 4  # trajectories with cylinders that no training sees
-SETTINGS = {"latent": 64, "depth": 4, "batch": 4, "held_out": HELD_OUT, "noise": (0.01,), "look_every": 10**9}
+SETTINGS = {
+    "latent": 64,
+    "depth": 4,
+    "batch": 2,
+    "held_out": HELD_OUT,
+    "noise": (0.003,),
+    "look_every": 10**9,
+}
 
 
-def make_data(folder, trajectories):
+def make_data(folder, trajectories, *more):
     """The mini set of cylinder flows, made where it is not there yet."""
     script = ROOT / "demos/dataset_cylinder.py"
-    options = ["--trajectories", str(trajectories), "--size", "mini", "--out", str(folder), "--jobs", "2"]
+    options = ["--trajectories", str(trajectories), "--out", str(folder), "--jobs", "2", *more]
     subprocess.run([sys.executable, str(script), *options], check=True, cwd=ROOT)
 
 
@@ -50,10 +57,11 @@ def worker(options, out):
 
 
 def architectures(folder, out, minutes):
-    """A row for each architecture after the same time of training."""
-    rows = []
+    """A row for each architecture after the same time of training; speed-up: of a frame over the solver."""
+    rows, solver = [], solver_ms(folder)
     for name in ARCHITECTURES:
-        rows.append({"model": name} | trained(folder, Path(out) / name, minutes, model=name))
+        row = {"model": name} | trained(folder, Path(out) / name, minutes, model=name)
+        rows.append(row | {"speed-up": solver / row["infer_ms"]})
     return rows
 
 
@@ -63,6 +71,54 @@ def transitions(folder, out, minutes):
     for name in TRANSITIONS:
         place = Path(out) / ("bsms" if name == "contribution" else f"transition_{name}")
         rows.append({"transition": name} | trained(folder, place, minutes, transition=name))
+    return rows
+
+
+def solver_ms(folder, frames=10):
+    """CPU milliseconds in which the solver that made the data takes a frame of the unseen flows."""
+    sys.path.insert(0, str(ROOT / "demos"))
+    import time
+
+    import dataset_cylinder as data
+    import h5py
+
+    from gnn.samples import find_trajectories
+
+    seconds = []
+    for path in find_trajectories(folder)[-HELD_OUT:]:
+        with h5py.File(path.with_suffix(".h5"), "r") as h5:
+            centre, radius, peak, steps = (
+                h5.attrs[k] for k in ("centre", "radius", "peak", "steps_per_frame")
+            )
+        near, far, _ = data.SIZES["mini"]
+        mesh, facets = data.channel_mesh(centre, radius, min(near, radius / 2), far)
+        flow = data.channel_flow(mesh, facets, peak, data.EVERY / steps)
+        begin = time.process_time()
+        for _ in range(frames * steps):
+            flow.step()
+        seconds.append((time.process_time() - begin) / frames)
+    return 1e3 * sum(seconds) / len(seconds)
+
+
+def larger_meshes(folder, out):
+    """Errors of the trained network on its own size of mesh and on one five times as fine."""
+    from gnn.rollout import evaluate
+    from gnn.samples import Meshes, find_trajectories
+    from gnn.train import load_predictor
+
+    predictor, rows = load_predictor(Path(out) / "bsms"), []
+    large = folder.parent / "cylinder_large"
+    make_data(large, 2, "--size", "large", "--seed", "1")
+    for name, paths in (
+        ("mini", find_trajectories(folder)[-HELD_OUT:]),
+        ("large", find_trajectories(large)),
+    ):
+        meshes = Meshes(paths, predictor.config, predictor.length)
+        nodes = sum(len(meshes[i][0].graph.points) for i in range(len(meshes))) / len(meshes)
+        found = evaluate(predictor, meshes, every=10)
+        rows.append(
+            {"meshes": name, "nodes": round(nodes)} | {"infer_ms": 1e3 * found.pop("seconds")} | found
+        )
     return rows
 
 
