@@ -66,10 +66,10 @@ def wall_facets(mesh, layer):
 
 def mark_facets(mesh, facets):
     """(nc, d + 1) bool: exterior facets that are among those given, (nf, d), by the vertex opposite."""
-    given = {tuple(sorted(f)) for f in np.asarray(facets).tolist()}
-    out = np.zeros(mesh.cells.shape, bool)
-    for c, q in zip(*np.nonzero(mesh.neighbours == -1), strict=True):
-        out[c, q] = tuple(sorted(np.delete(mesh.cells[c], q).tolist())) in given
+    out, (cell, corner) = np.zeros(mesh.cells.shape, bool), np.nonzero(mesh.neighbours == -1)
+    place = mesh.exterior_places(facets)
+    place = place[place >= 0]
+    out[cell[place], corner[place]] = True
     return out
 
 

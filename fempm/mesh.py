@@ -78,6 +78,15 @@ class SimplexMesh:
             raise KeyError(f"unknown boundary tag {name!r}: this mesh has {sorted(self.boundaries)}")
         return self.boundaries[name]
 
+    def exterior_places(self, facets):
+        """Numbers of facets (nf, d) among `exterior_facets`, which follow the cells, -1 for others."""
+        facets = np.asarray(facets).reshape(-1, self.dim)
+        keys = np.sort(np.concatenate([self.exterior_facets, facets]), axis=1)
+        group = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+        place, outer = np.full(len(keys), -1), len(self.exterior_facets)
+        place[group[:outer]] = np.arange(outer)
+        return place[group[outer:]]
+
 
 def facet_neighbours(cells):
     """Cell neighbours across facets.

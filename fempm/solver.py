@@ -226,7 +226,7 @@ class Simulation:
     def acceleration(self):
         """(n, d) body force per mass at the particles."""
         b, shape = self.body_force, self.particles.position.shape
-        b = np.asarray(b(self.particles.position, self.time) if callable(b) else b, float)
+        b = np.asarray(b(self.particles.position, self.time) if callable(b) else b, float, order="C")
         if b.shape not in (shape, shape[1:]):
             raise ValueError(f"body_force of shape {b.shape}: give ({shape[1]},) or {shape}")
         return np.broadcast_to(b, shape)

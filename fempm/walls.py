@@ -193,13 +193,10 @@ def facet_normals(mesh, facets):
 
 def opposite_vertices(mesh, facets):
     """Vertex opposite each exterior facet in its cell."""
-    nc, corners = mesh.cells.shape
-    outer_cell, outer_corner = np.nonzero(mesh.neighbours == -1)
-    table = {
-        tuple(sorted(np.delete(mesh.cells[c], q).tolist())): mesh.cells[c, q]
-        for c, q in zip(outer_cell, outer_corner, strict=True)
-    }
-    return np.array([table[tuple(sorted(f))] for f in facets.tolist()], np.int64)
+    place = mesh.exterior_places(facets)
+    if np.any(place < 0):
+        raise KeyError(tuple(facets[place < 0][0].tolist()))
+    return mesh.cells[mesh.neighbours == -1][place].astype(np.int64)
 
 
 def smooth_patches(mesh, wall, facets):

@@ -24,7 +24,7 @@ def test_logistic(tmp_path, capsys):
     import demo_parvi_logistic as demo
 
     out = tmp_path / "logistic"
-    found = demo.main(["--n", "500", "--steps", "0", "--output", str(out)])["MPM-ParVI"]
+    found = demo.main(["--n", "300", "--steps", "0", "--output", str(out)])["MPM-ParVI"]
     assert np.abs(found["mean"]).max() < 0.1 and np.abs(found["deviation"]).max() < 10
     assert imread(f"{out}.png").std() > 0.05 and "accuracy" in capsys.readouterr().out
 
@@ -34,6 +34,6 @@ def test_lotka(tmp_path):
     import demo_parvi_lotka as demo
 
     out = tmp_path / "lotka"
-    found = demo.main(["--n", "300", "--steps", "0", "--output", str(out)])["MPM-ParVI"]
+    found = demo.main(["--n", "150", "--steps", "0", "--output", str(out)])["MPM-ParVI"]
     assert np.abs(found["mean"]).max() < 0.1 and np.abs(found["deviation"]).max() < 10
     assert imread(f"{out}.png").std() > 0.05

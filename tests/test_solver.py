@@ -21,14 +21,20 @@ def slip_box(material, mesh=None, **options):
 def test_gravity_equals_a_constant_body_force(kind, transfer):
     """The same load given at vertices or at particles: equal to round-off, mirror vertices included."""
     mesh, load, states = rectangle(6, 6), [0.5, -9.81], []
-    for given in ({"gravity": load}, {"body_force": load}, {"body_force": lambda x, t: 0 * x + load}):
+    columns = {"body_force": lambda x, t: np.asfortranarray(0 * x + load)}
+    for given in (
+        {"gravity": load},
+        {"body_force": load},
+        {"body_force": lambda x, t: 0 * x + load},
+        columns,
+    ):
         body = fempm.Body(*fempm.fill_cells(mesh, 4), SOLID)
         scene = fempm.Simulation(mesh, [body], [fempm.Wall("boundary", kind)], transfer=transfer, **given)
         for _ in range(50):
             scene.step(1e-3)
         states.append(scene.gather("position"))
     assert np.abs(states[0] - states[1]).max() < 1e-13
-    assert np.array_equal(states[1], states[2])
+    assert np.array_equal(states[1], states[2]) and np.array_equal(states[1], states[3])
 
 
 def test_column_under_its_own_weight():
