@@ -140,7 +140,8 @@ class Flow:
             self.part.size, s.edges, s.forward, s.backward, s.volumes, W, pressure, rate, slopes
         )
         rate = self.part.sum_nodes(rate) / AROUND[s.dim]
-        push = np.linalg.norm(self.part.sum_nodes(slopes), axis=1) / (W[:, 0] * self.width)
+        slopes = self.part.sum_nodes(slopes)
+        push = np.sqrt(np.einsum("na,na->n", slopes, slopes)) / (W[:, 0] * self.width)
         limit = self.cfl / max(np.max(0.5 * (rate + np.sqrt(rate**2 + 4 * push))), 1e-300)
         if self.steps < START_STEPS:
             sound = np.sqrt(self.eos.bulk_modulus(W[:, 0], pressure) / W[:, 0])

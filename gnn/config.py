@@ -20,6 +20,7 @@ class Config:
     predicted : node types that are learned; all others are prescribed
     moving : node types with a motion that is prescribed, an input when bodies deform
     noise : standard deviation of what is added to each of the fields, or to the positions, in their unit
+    mirror : axes along which the problem is symmetric: half of the samples are mirrored there
     contact_radius : distance below which nodes of deforming bodies are in contact; 0 for no contact edges
     model, latent, depth, transition, steps_flat : see `models.make_model`
     seeding, top_up : see `hierarchy.build_hierarchy`
@@ -40,6 +41,7 @@ class Config:
     predicted: tuple[int, ...] = (NORMAL, OUTFLOW)
     moving: tuple[int, ...] = ()
     noise: tuple[float, ...] = (0.02,)
+    mirror: tuple[int, ...] = ()
     contact_radius: float = 0.0
     held_out: int = 2
     model: str = "bsms"
@@ -82,7 +84,7 @@ class Config:
 
 
 PRESETS = {
-    "cylinder": {},
+    "cylinder": {"mirror": (1,)},
     "airfoil": {
         "fields": ("density", "velocity"),
         "direct": ("pressure",),
@@ -122,7 +124,7 @@ def add_arguments(parser):
         if kind is bool:
             parser.add_argument(name, action=argparse.BooleanOptionalAction, **own)
         elif kind is tuple:
-            inner = {"noise": float, "predicted": int, "moving": int}.get(field.name, str)
+            inner = {"noise": float, "predicted": int, "moving": int, "mirror": int}.get(field.name, str)
             parser.add_argument(name, nargs="*", type=inner, metavar=field.name.upper(), **own)
         else:
             parser.add_argument(name, type=kind, metavar=str(field.default) or "NAME", **own)

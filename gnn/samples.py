@@ -112,6 +112,9 @@ def check_fields(trajectory, config):
     missing = [name for name in wanted if name not in trajectory.fields]
     if missing:
         raise ValueError(f"{trajectory.path}: no field {missing[0]!r}, it has {', '.join(trajectory.fields)}")
+    dim = trajectory.graph.points.shape[1]
+    if config.mirror and (dim == 1 or not set(config.mirror) <= set(range(dim))):
+        raise ValueError(f"mirror {config.mirror}: give axes of a plane or space, the meshes have {dim}")
     if not np.isin(trajectory.graph.node_type, config.predicted).any():
         raise ValueError(f"{trajectory.path}: no node is of the types {config.predicted} that are predicted")
 
@@ -128,7 +131,7 @@ def noise_scales(trajectory, config):
 
 
 def make_sample(meshes, i, k, rng=None):
-    """Frame k of trajectory i, with noise where rng (numpy Generator) is given.
+    """Frame k of trajectory i, with noise and mirrored at random where rng (numpy Generator) is given.
 
     The target leads from the noisy state to the true one of the next frame: so the network learns to take
     back what it does wrong in a rollout.
@@ -145,7 +148,29 @@ def make_sample(meshes, i, k, rng=None):
     if config.direct:
         target = np.concatenate([target, stack(trajectory, config.direct, k + 1)], axis=1)
     rest = (torch.from_numpy(a) for a in (target, learned))
-    return Sample(meshes.batch(i, world), torch.from_numpy(state), motion, *rest)
+    sample = Sample(meshes.batch(i, world), torch.from_numpy(state), motion, *rest)
+    for axis in config.mirror if rng is not None else ():
+        if rng.random() < 0.5:
+            turn_round(sample, axis, vectors(trajectory, config))
+    return sample
+
+
+def vectors(trajectory, config):
+    """Columns of state and direct fields at which their vectors begin."""
+    dim = trajectory.graph.points.shape[1]
+    widths = [trajectory.fields[name] for name in (*config.state, *config.direct)]
+    return [int(end) - w for w, end in zip(widths, np.cumsum(widths)) if w == dim]
+
+
+def turn_round(sample, axis, vectors):
+    """Mirror a sample along an axis, in place; vectors begin at the given columns of state and target."""
+    for x in (sample.batch.material, sample.batch.world, sample.motion):
+        if x is not None:
+            x[:, axis] *= -1
+    for column in vectors:
+        for x in (sample.state, sample.target):
+            if column < x.shape[1]:
+                x[:, column + axis] *= -1
 
 
 def join_samples(samples):

@@ -244,6 +244,27 @@ def test_command_line(tmp_path, capsys):
     assert (Path(out) / "rollout_velocity.gif").stat().st_size > 1000
 
 
+def test_mirrored_samples(tmp_path):
+    """About half of the samples are mirrored, fields with them: they stay (x^2, x y) of the new positions."""
+    graph = square(np.random.default_rng(3))
+    x, y = graph.points.T
+    field = np.stack([x**2, x * y], axis=1) * np.arange(1.0, 4)[:, None, None]
+    fields = {"velocity": field, "pressure": field[:, :, 0] + 2}
+    write_trajectory(tmp_path / "t.xdmf", graph, np.arange(3.0), fields)
+    c = config(tmp_path, noise=(0.0,), mirror=(1,), direct=("pressure",))
+    meshes, turned = Meshes(find_trajectories(c.data), c, length=0.5), 0
+    for k in range(40):
+        sample = make_sample(meshes, 0, 1, np.random.default_rng(k))
+        x, y = 0.5 * sample.batch.material.T
+        turned += bool((y <= 0).all())
+        exact = torch.stack([x**2, x * y, 3 * x**2 + 2], dim=1)
+        assert (sample.state - 2 * exact[:, :2]).abs().max() < 1e-6
+        assert (sample.target - exact).abs().max() < 1e-6
+    assert 10 < turned < 30  # 3.2 standard deviations
+    with pytest.raises(ValueError, match="mirror"):
+        Meshes(find_trajectories(c.data), config(tmp_path, mirror=(2,)))[0]
+
+
 def test_muon_beside_that_of_torch():
     """Three steps with matrices of several shapes; torch's own rounds to bfloat16 (8 bits), ours does not."""
     torch.manual_seed(0)
