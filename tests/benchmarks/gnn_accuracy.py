@@ -39,13 +39,12 @@ def worker(options, out):
     """Train and evaluate; prints the row."""
     import torch
 
-    from gnn.config import Config
+    from gnn.config import preset
     from gnn.rollout import evaluate
     from gnn.train import Training
 
     torch.set_num_threads(1)
-    options["noise"] = tuple(options["noise"])
-    training = Training(Config(**options), out)
+    training = Training(preset("cylinder", **options | {"noise": tuple(options["noise"])}), out)
     training.load()
     predictor = training.run().eval()
     found = evaluate(predictor, training.held_out, every=10)
