@@ -35,9 +35,9 @@ def main(argv=None):
     args = parser.parse_args(argv)
     sizes = {"num_inputs": 11, "num_outputs": 1, "dim": 1, "depth": DEPTH, "latent": 32}
     found = {}
-    for name, own in (("bsms", {}), ("ms_gnn_grid", {})):
+    for name in ("bsms", "ms_gnn_grid"):
         torch.manual_seed(0)
-        model, rng = make_model(name, **sizes, **own), np.random.default_rng(0)
+        model, rng = make_model(name, **sizes), np.random.default_rng(0)
         left = learn(model, args.steps, rng)
         found[name] = errors(model, rng)
         print(f"{name}: error of a single stick {left:.2g}; at the gap, by the direction of the sticks:")

@@ -27,7 +27,7 @@ def main(argv=None):
         x = svgd(start(args.n, np.random.default_rng(0)), score, args.steps, 0.02)
         results["SVGD"] = x, time.process_time() - began
     mean, deviation = on_grid(found.positions.mean(axis=0), 6 * found.positions.std(axis=0))
-    print(f"by quadrature: mean {mean.round(4)}, sd {deviation.round(4)}; true rates {TRUE.round(4)}")
+    print(f"by quadrature: mean {mean.round(4)}, sd {deviation.round(4)}; true ln rates {TRUE.round(4)}")
     print("          mean off in sd, sd off in %, CPU s")
     out = {}
     for name, (x, seconds) in results.items():

@@ -13,7 +13,8 @@ def equal_cells(kernel):
     """
     size = np.abs(1.0 / np.linalg.det(kernel.inverse)).mean() ** (1 / kernel.dim)
     place = np.empty(len(kernel.ring_vertex), np.int16)
-    keys = ring_keys(*vars(kernel).values(), 1e-9 * size, place)
+    rings = kernel.points, kernel.cells, kernel.ring_start, kernel.ring_vertex, kernel.ring_mask
+    keys = ring_keys(*rings, kernel.inverse_support, 1e-9 * size, place)
     _, first, shape = np.unique(keys, return_index=True, return_inverse=True)
     shape = np.argsort(np.argsort(first, kind="stable"), kind="stable")[shape]  # in the order of the cells
     start = np.concatenate([[0], np.cumsum(np.bincount(shape))])
@@ -30,7 +31,7 @@ def mix(key, value):
 
 
 @njit(cache=True)
-def ring_keys(points, cells, inverse, start, vertex, mask, inverse_support, phi, unit, place):
+def ring_keys(points, cells, start, vertex, mask, inverse_support, unit, place):
     """Hashes (nc,) of cells with their rings, lengths rounded to a unit, and places in their order."""
     out, keys = np.empty(len(cells), np.uint64), np.empty(MAX_RING, np.uint64)
     for c in range(len(cells)):

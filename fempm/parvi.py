@@ -208,6 +208,10 @@ def start_positions(initial, n, seed):
     x = np.array(x, float)
     if x.ndim != 2 or len(x) < 2 or not np.isfinite(x).all():
         raise ValueError(f"initial positions of shape {x.shape}: give (n, d) finite numbers, n of at least 2")
+    if not np.all(np.ptp(x, axis=0) > 0):
+        raise ValueError(
+            f"initial positions all have the same coordinate {np.argmin(np.ptp(x, axis=0))}: spread them"
+        )
     return x
 
 
@@ -216,6 +220,8 @@ class Sampler:
 
     def __init__(self, score, x, mesh, size, walls, material, amplification, options):
         self.material = IsothermalGas() if material is None else material
+        if self.material.state:
+            raise ValueError(f"{type(self.material).__name__}: give a material without internal variables")
         if amplification is None:
             amplification = self.material.speed**2 if isinstance(self.material, IsothermalGas) else 1.0
         self.score, self.amplification, self.options = score, amplification, options
@@ -281,7 +287,7 @@ class Sampler:
 
     def relax(self, until, damping, temperature, tolerance, bar):
         """What `run` does, with damping as a function and a progress line, or None."""
-        flow, marks = self.flow, 0
+        marks = 0
         while self.clock < until:
             share = self.clock / until
             if share * RECORDS >= marks:

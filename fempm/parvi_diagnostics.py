@@ -6,7 +6,7 @@ MMD^2. Compare with the numbers of independent samples of the same size.
 
 import numpy as np
 
-from .consistency import correct
+from .consistency import Conditions, correct
 from .kernel import build_kernel, evaluate_many
 from .particles import fill_cells
 from .walls import wall_layer
@@ -146,6 +146,9 @@ def stationary_residual(mesh, log_density, score, walls=(), gradient="plain", pe
         np.add.at(mass, vertex, (share[:, :, 0] * w)[used])
         np.add.at(pull, vertex, (share * force)[used])
         np.add.at(net, vertex, (share * (force + g))[used])
+    conditions = Conditions(kernel, mesh, layer)
+    net, pull = conditions.fold(net), conditions.fold(pull)
+    np.add.at(mass, layer.source, mass[conditions.unknowns :])
     inner = mass > 1e-12
     inner[layer.vertices] = False
     inner[len(mesh.points) :] = False

@@ -38,7 +38,7 @@ class Score:
             return np.zeros_like(x)
         if self.is_density is None:
             self._look(x)
-        score = self._autograd(x) if self.torch else self._numpy(x)
+        score = self._autograd(x) if self.torch else self._numpy(x.copy())  # whatever the function does to it
         bad = np.flatnonzero(~np.isfinite(score).all(axis=1))
         if len(bad):
             raise ValueError(
@@ -49,7 +49,7 @@ class Score:
 
     def _look(self, x):
         """Find out what the function returns."""
-        value = self._autograd(x, raw=True) if self.torch else np.asarray(self.function(x))
+        value = self._autograd(x, raw=True) if self.torch else np.asarray(self.function(x.copy()))
         if value.shape not in (x.shape, x.shape[:1]):
             raise ValueError(
                 f"the target returns shape {tuple(value.shape)} for positions {x.shape}: give scores "

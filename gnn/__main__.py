@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import sys
 from pathlib import Path
 
 
@@ -23,6 +24,7 @@ def main(argv=None):
         command = commands.add_parser(name, help=text)
         command.add_argument("checkpoint", help="checkpoint.pt or its folder")
         command.add_argument("data", help="folder of trajectories, or one of them")
+        command.add_argument("--all", action="store_true", help="also the trajectories that were trained on")
         command.add_argument("--steps", type=int)
         command.add_argument("--start", type=int, default=0)
         command.add_argument("--boundary", default="prescribed", help="or frozen")
@@ -55,8 +57,13 @@ def opened(args):
     from .train import load_predictor
 
     predictor = load_predictor(args.checkpoint)
-    paths = [args.data] if args.data.endswith(".xdmf") else find_trajectories(args.data)
-    return predictor, Meshes(paths, predictor.config, predictor.length)
+    paths, config = [args.data], predictor.config
+    if not args.data.endswith(".xdmf"):
+        paths = find_trajectories(args.data)
+        if config.held_out and not args.all and Path(args.data).resolve() == Path(config.data).resolve():
+            paths = paths[-config.held_out :]
+            print(f"the {len(paths)} trajectories that were not trained on (--all for all)", file=sys.stderr)
+    return predictor, Meshes(paths, config, predictor.length)
 
 
 def evaluate(args):

@@ -22,7 +22,8 @@ class Config:
     noise : standard deviation of what is added to each of the fields, or to the positions, in their unit
     mirror : axes along which the problem is symmetric: half of the samples are mirrored there
     contact_radius : distance below which nodes of deforming bodies are in contact; 0 for no contact edges
-    model, latent, depth, transition, steps_flat : see `models.make_model`
+    model, latent, depth, transition, repeats : see `models.MODELS`; the last two are of "bsms" only
+    steps_flat : message passings of "meshgraphnets"
     seeding, top_up : see `hierarchy.build_hierarchy`
     batch : meshes in a step; steps : of the training
     optimizer : "muon" or "adamw", see `optimizers`
@@ -31,7 +32,7 @@ class Config:
     minutes : stop after that long, with the schedule by time; 0 for `steps`
     look_every, look_steps : how often to roll a held-out trajectory out, and how far
     save_minutes : between checkpoints
-    checkpointing : activations are computed again instead of stored, for big meshes
+    checkpointing : activations are computed again instead of stored, for big meshes; "bsms" only
     """
 
     data: str = "results/cylinder"
@@ -48,6 +49,7 @@ class Config:
     latent: int = 128
     depth: int = 6
     transition: str = "contribution"
+    repeats: int = 1
     steps_flat: int = 15
     seeding: str = "min_average"
     top_up: bool = True
@@ -73,7 +75,7 @@ class Config:
             raise ValueError(f"config: noise {self.noise}, give one for each of {state}")
         if self.contact_radius and not self.position:
             raise ValueError("config: contact edges need the `position` of the deforming bodies")
-        for name in ("latent", "batch", "steps", "rate", "last_rate", "clip"):
+        for name in ("latent", "batch", "steps", "rate", "last_rate", "clip", "look_every", "look_steps"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"config: {name} {getattr(self, name)} must be positive")
 

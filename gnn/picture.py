@@ -27,6 +27,8 @@ def draw(ax, graph, values, low, high, points=None, colours="viridis"):
 
 def panels(graph, truth, found, deforms):
     """Title, values and positions of the three rows of a moment."""
+    if deforms:
+        truth, found = truth.reshape(graph.points.shape), found.reshape(graph.points.shape)
     error = magnitude(found - truth)
     if deforms:
         shift = magnitude(truth - graph.points), magnitude(found - graph.points)

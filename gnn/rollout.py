@@ -28,9 +28,9 @@ def rollout(predictor, meshes, i, steps=None, start=0, boundary="prescribed"):
         raise ValueError(f"boundary {boundary!r}: give one of {', '.join(map(repr, BOUNDARY))}")
     trajectory = meshes[i][0]
     most = len(trajectory) - 1 - start
-    steps = most if steps is None else min(steps, most)
+    wanted, steps = steps, most if steps is None else min(steps, most)
     if steps < 1:
-        raise ValueError(f"start {start}: {trajectory.path} has {len(trajectory)} frames")
+        raise ValueError(f"start {start}, steps {wanted}: {trajectory.path} has {len(trajectory)} frames")
     device = next(predictor.parameters()).device
     learned, now = torch.from_numpy(meshes.learned(i)).to(device), meshes.state(i, start)
     state = torch.from_numpy(now).to(device)
@@ -41,7 +41,8 @@ def rollout(predictor, meshes, i, steps=None, start=0, boundary="prescribed"):
             if batch is None or deforms:
                 batch = meshes.batch(i, state.cpu().numpy() if deforms else None).to(device)
             after = meshes.state(i, k + 1)
-            motion = meshes.motion(i, after - now).to(device) if deforms else None
+            change = after - now if boundary == "prescribed" else 0 * now
+            motion = meshes.motion(i, change).to(device) if deforms else None
             new, direct = predictor.step(batch, state, motion)
             given, now = state if boundary == "frozen" else torch.from_numpy(after).to(device), after
             state = torch.where(learned[:, None], new, given)

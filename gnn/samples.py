@@ -186,12 +186,14 @@ def join_samples(samples):
 
 def count_frames(meshes):
     """(k, 2) trajectory and frame of everything that a training can ask for."""
-    return np.concatenate(
-        [
-            np.stack([np.full(len(t) - 1, i), np.arange(len(t) - 1)], axis=1)
-            for i, (t, *_) in enumerate(meshes)
-        ]
-    )
+    parts = [
+        np.stack([np.full(len(t) - 1, i), np.arange(len(t) - 1)], axis=1) for i, (t, *_) in enumerate(meshes)
+    ]
+    if not sum(map(len, parts)):
+        raise ValueError(
+            f"{meshes.paths[0].parent}: no trajectory of two frames or more, nothing to learn from"
+        )
+    return np.concatenate(parts)
 
 
 def mean_edge_length(meshes, most=20):

@@ -2,8 +2,11 @@
 
 import json
 import os
+import signal
 import sys
+import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -16,17 +19,8 @@ from .rollout import evaluate
 from .samples import Meshes, count_frames, find_trajectories, join_samples, make_sample, mean_edge_length
 
 # settings that a checkpoint and the training that goes on from it have in common
-SAME = (
-    "model",
-    "latent",
-    "depth",
-    "fields",
-    "direct",
-    "position",
-    "contact_radius",
-    "transition",
-    "optimizer",
-)
+SAME = ("model", "latent", "depth", "steps_flat", "repeats", "transition", "contact_radius", "optimizer")
+SAME += ("fields", "direct", "position", "predicted", "moving")
 
 
 class BadCheckpoint(ValueError):
@@ -39,7 +33,7 @@ class Training:
     Parameters
     ----------
     config : Config
-    out : folder of checkpoint.pt, log.jsonl and of what `look` writes
+    out : folder of checkpoint.pt and log.jsonl
 
     Attributes
     ----------
@@ -51,7 +45,11 @@ class Training:
         self.rank, self.size = start_processes()
         self.device = torch.device("cpu")
         if on_gpu():
-            self.device = torch.device("cuda", self.rank % torch.cuda.device_count())
+            self.device = torch.device("cuda", torch.cuda.current_device())
+        if config.batch < self.size:
+            raise ValueError(
+                f"batch {config.batch}: give at least one mesh for each of {self.size} processes"
+            )
         torch.manual_seed(config.seed)
         paths = find_trajectories(config.data)
         if not 0 <= config.held_out < len(paths):
@@ -66,31 +64,30 @@ class Training:
         if self.size > 1:
             self.terms = torch.nn.parallel.DistributedDataParallel(self.terms)
         self.optimizers = make_optimizers(self.predictor, config)
-        self.step, self.seconds = 0, 0.0
+        self.step, self.seconds, self.order = 0, 0.0, (-1, None)
 
     def run(self):
         """Train to the end, or until Ctrl-C; a checkpoint is written in any case."""
         c, saved, shown = self.config, time.monotonic(), 0.0
         self.out.mkdir(parents=True, exist_ok=True)
-        with open(self.out / "log.jsonl", "a", encoding="utf-8") as log:
-            try:
-                while (done := self.progress()) < 1:
-                    begin = time.monotonic()
-                    loss, norm = self.train_step(done)
-                    self.seconds += self.agreed(time.monotonic() - begin)
-                    row = {"step": self.step, "loss": loss, "norm": norm, "seconds": self.seconds}
-                    row["rate"] = self.optimizers[0].param_groups[0]["lr"]
-                    if self.step % c.look_every == 0:
-                        row |= self.look()
-                    if self.rank == 0:
-                        print(json.dumps(row), file=log, flush=self.step % 100 == 0 or len(row) > 5)
-                        shown = show(done, row, shown)
-                    if self.agreed(time.monotonic() - saved) > 60 * c.save_minutes:
-                        self.save()
-                        saved = time.monotonic()
-            except KeyboardInterrupt:
-                print("\nstopped: the same command goes on from the checkpoint", file=sys.stderr)
+        with open(self.out / "log.jsonl", "a", encoding="utf-8") as log, interruptible() as asked:
+            while (done := self.progress()) < 1 and not self.agreed(len(asked)):
+                begin = time.monotonic()
+                loss, norm = self.train_step(done)
+                self.seconds += self.agreed(time.monotonic() - begin)
+                row = {"step": self.step, "loss": loss, "norm": norm, "seconds": self.seconds}
+                row["rate"] = self.optimizers[0].param_groups[0]["lr"]
+                if self.step % c.look_every == 0:
+                    row |= self.look()
+                if self.rank == 0:
+                    print(json.dumps(row), file=log, flush=self.step % 100 == 0 or len(row) > 5)
+                    shown = show(done, row, shown)
+                if self.agreed(time.monotonic() - saved) > 60 * c.save_minutes:
+                    self.save()
+                    saved = time.monotonic()
             self.save()
+            if asked and self.rank == 0:
+                print("\nstopped: the same command goes on from the checkpoint", file=sys.stderr)
         if self.rank == 0:
             print(file=sys.stderr)
         return self.predictor
@@ -113,7 +110,7 @@ class Training:
         c = self.config
         for optimizer in self.optimizers:
             for group in optimizer.param_groups:
-                group["lr"] = learning_rate(c, done)
+                group["lr"], group["weight_decay"] = learning_rate(c, done), c.weight_decay
         sample = join_samples([self.sample(n) for n in self.chosen()]).to(self.device)
         self.predictor.zero_grad(set_to_none=True)
         with torch.autocast("cuda", torch.bfloat16, enabled=self.device.type == "cuda"):
@@ -122,6 +119,11 @@ class Training:
         sums = self.summed(torch.tensor([total.item(), count], dtype=torch.float64))
         (total * (self.size / sums[1].item())).backward()
         norm = torch.nn.utils.clip_grad_norm_(self.predictor.parameters(), c.clip)
+        if not torch.isfinite(sums[0] + norm):
+            raise FloatingPointError(
+                f"step {self.step}: loss {sums[0].item():.3g}, gradient {norm.item():.3g}; the last "
+                "checkpoint stays: go on with a lower rate, or look for infinite values in the data"
+            )
         for optimizer in self.optimizers:
             optimizer.step()
         self.step += 1
@@ -141,9 +143,11 @@ class Training:
     def sample(self, number):
         """A sample by its number: order and noise depend on it and the seed only, whoever draws it."""
         epoch, place = divmod(number, len(self.frames))
-        order = np.random.default_rng([self.config.seed, epoch]).permutation(len(self.frames))
-        i, k = self.frames[order[place]]
-        noise = np.random.default_rng([self.config.seed, epoch, int(order[place])])
+        if self.order[0] != epoch:
+            self.order = epoch, np.random.default_rng([self.config.seed, epoch]).permutation(len(self.frames))
+        chosen = int(self.order[1][place])
+        i, k = self.frames[chosen]
+        noise = np.random.default_rng([self.config.seed, epoch, chosen])
         return make_sample(self.meshes, int(i), int(k), noise)
 
     def look(self):
@@ -174,11 +178,12 @@ class Training:
             return
         state = read_checkpoint(path)
         mine, theirs = self.predictor.describe(), state["about"]
-        for name in SAME:
-            if mine["config"][name] != theirs["config"].get(name):
+        pairs = [(name, mine["config"][name], theirs["config"].get(name)) for name in SAME]
+        pairs += [("dim", mine["dim"], theirs["dim"]), ("widths", mine["widths"], tuple(theirs["widths"]))]
+        for name, own, other in pairs:
+            if own != other:
                 raise BadCheckpoint(
-                    f"{path}: of a training with {name} {theirs['config'].get(name)!r}, "
-                    f"not {mine['config'][name]!r}; give another folder"
+                    f"{path}: of a training with {name} {other!r}, not {own!r}; give another folder"
                 )
         self.predictor.load_state_dict(state["predictor"])
         self.predictor.length = theirs["length"]
@@ -206,8 +211,33 @@ def start_processes():
     if "WORLD_SIZE" not in os.environ or int(os.environ["WORLD_SIZE"]) == 1:
         return 0, 1
     if not dist.is_initialized():
-        dist.init_process_group("nccl" if on_gpu() else "gloo")
+        dist.init_process_group("cpu:gloo,cuda:nccl" if on_gpu() else "gloo")
+    if on_gpu():
+        local, number = int(os.environ["LOCAL_RANK"]), torch.cuda.device_count()
+        if local >= number:
+            raise ValueError(f"{local + 1} processes or more on {number} GPU(s): start one process for each")
+        torch.cuda.set_device(local)
     return dist.get_rank(), dist.get_world_size()
+
+
+@contextmanager
+def interruptible():
+    """A list that Ctrl-C fills, so that a step is never left half made; a second one ends at once."""
+    asked, main = [], threading.current_thread() is threading.main_thread()
+    if not main:
+        yield asked
+        return
+
+    def ask(*_):
+        if asked:
+            raise KeyboardInterrupt
+        asked.append(True)
+
+    before = signal.signal(signal.SIGINT, ask)
+    try:
+        yield asked
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def on_gpu():
@@ -243,7 +273,7 @@ def show(done, row, shown):
     tty, now = sys.stderr.isatty(), time.monotonic()
     reached = now if tty else done
     if reached >= shown:
-        looked = f"  50 steps {row['rmse_last']:.3g}" if "rmse_last" in row else ""
+        looked = f"  rollout {row['rmse_last']:.3g}" if "rmse_last" in row else ""
         text = f"[{'#' * int(24 * done):<24}] step {row['step']}  loss {row['loss']:.4g}{looked}"
         print(f"\r{text}\x1b[K" if tty else text, end="" if tty else "\n", file=sys.stderr, flush=True)
         return now + 0.1 if tty else (np.floor(10 * done + 1e-9) + 1) / 10

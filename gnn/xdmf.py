@@ -222,8 +222,11 @@ class SeriesWriter:
     def __enter__(self):
         return self
 
-    def __exit__(self, *exc):
-        self.close()
+    def __exit__(self, kind, *exc):
+        if kind is None:
+            self.close()
+        else:  # without its .xdmf nobody takes the part that is there for the whole
+            self._h5.close()
 
     def write(self, time, fields):
         """Add the frame at a time: a dict of name to (n,) or (n, c) array.

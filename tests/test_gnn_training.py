@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -294,3 +295,41 @@ def test_rate_rises_and_falls():
     c = Config(rate=1.0, last_rate=0.01)
     rates = [learning_rate(c, done) for done in (0.0, 0.03, 0.5, 1.0, 1.2)]
     assert rates == pytest.approx([1e-3, 1, 0.505, 0.01, 0.01], rel=3e-3)
+
+
+def test_a_loss_that_is_not_finite_ends_the_training(tmp_path):
+    """With the step in the message, and without a checkpoint of what it has spoilt."""
+    training = Training(config(decaying(tmp_path / "data"), rate=1e30, steps=50), tmp_path / "out")
+    with pytest.raises(FloatingPointError, match="step"):
+        training.run()
+    assert not (tmp_path / "out/checkpoint.pt").exists()
+
+
+def test_interrupt_ends_after_a_whole_step(tmp_path):
+    """Ctrl-C while the matrices change: the step is finished, counted and saved."""
+    training = Training(config(decaying(tmp_path / "data"), steps=50), tmp_path / "out")
+    inner = training.optimizers[1].step
+
+    def step():
+        if training.step == 2:
+            signal.raise_signal(signal.SIGINT)
+        inner()
+
+    training.optimizers[1].step = step
+    training.run()
+    state = read_checkpoint(tmp_path / "out/checkpoint.pt")
+    assert training.step == state["step"] == 3
+    for name, value in training.predictor.state_dict().items():
+        assert torch.equal(value, state["predictor"][name])
+
+
+def test_evaluate_leaves_out_what_was_trained_on(tmp_path, capsys):
+    """Of the data of the training only the last trajectories count, of other data all do."""
+    from gnn.__main__ import main
+
+    data, out = decaying(tmp_path / "data"), tmp_path / "out"
+    train(config(data, steps=2), out)
+    main(["evaluate", str(out), str(data)])
+    assert "not trained on" in capsys.readouterr().err
+    main(["evaluate", str(out), str(data), "--all"])
+    assert capsys.readouterr().err == ""

@@ -68,6 +68,21 @@ def test_stationary_residual(d, half):
     assert d == 3 or 3.0 < coarse / residual(0.25) < 5.0
 
 
+def test_stationary_residual_beside_walls():
+    """The density has a slope at the walls, its mirror image a kink: an error of order one in one cell.
+
+    So the whole falls with the root of h; without the part of the mirrors it would grow to 0.5.
+    """
+
+    def residual(cells):
+        mesh = fempm.interval_mesh(np.linspace(-1, 1, cells + 1))
+        walls = [fempm.Wall("boundary", "slip")]
+        return stationary_residual(mesh, lambda x: -0.5 * x[:, 0] ** 2, lambda x: -x, walls)
+
+    coarse = residual(16)
+    assert coarse < 0.02 and 1.8 < coarse / residual(64) < 2.4
+
+
 def test_mirrored_diagonals_leave_a_residual():
     """Why the sampler does not take `box_mesh`: a fifth of the force, at any mesh size."""
     mesh = box_mesh((-2.5, -2.5), (2.5, 2.5), 0.25)

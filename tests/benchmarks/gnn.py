@@ -18,7 +18,9 @@ def gnn_benchmarks(folder, quick, table, write_csv):
     show("memory", "memory of a training step by the batch (table 4.6)", batch_memory_table(quick))
     data, out, minutes = folder / "cylinder", folder / "gnn", 0.1 if quick else 8
     accuracy.make_data(data, 6 if quick else 50)
-    show("models", f"after {minutes} minutes (table 4.5)", accuracy.architectures(data, out, minutes))
-    show("transitions", f"after {minutes} minutes (table 4.7)", accuracy.transitions(data, out, minutes))
+    models = accuracy.architectures(data, out, minutes)
+    show("models", f"after {minutes} minutes (table 4.5)", models)
+    transitions = accuracy.transitions(data, out, minutes, models[0])
+    show("transitions", f"after {minutes} minutes (table 4.7)", transitions)
     show("larger", "on finer meshes than those of the training", accuracy.larger_meshes(data, out))
     show("seeds", "other seeds than in the training (table 4.8)", accuracy.seeding(data, out))

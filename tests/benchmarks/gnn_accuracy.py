@@ -2,6 +2,7 @@
 
 import json
 import resource
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -57,6 +58,7 @@ def worker(options, out):
 
 def architectures(folder, out, minutes):
     """A row for each architecture after the same time of training; speed-up: of a frame over the solver."""
+    shutil.rmtree(out, ignore_errors=True)  # what an earlier run has trained
     rows, solver = [], solver_ms(folder)
     for name in ARCHITECTURES:
         row = {"model": name} | trained(folder, Path(out) / name, minutes, model=name)
@@ -64,11 +66,12 @@ def architectures(folder, out, minutes):
     return rows
 
 
-def transitions(folder, out, minutes):
+def transitions(folder, out, minutes, first):
     """A row for each transition between levels (table 4.7); the first one is that of `architectures`."""
-    rows = []
-    for name in TRANSITIONS:
-        place = Path(out) / ("bsms" if name == "contribution" else f"transition_{name}")
+    kept = {k: v for k, v in first.items() if k not in ("model", "speed-up")}
+    rows = [{"transition": TRANSITIONS[0]} | kept]
+    for name in TRANSITIONS[1:]:
+        place = Path(out) / f"transition_{name}"
         rows.append({"transition": name} | trained(folder, place, minutes, transition=name))
     return rows
 
