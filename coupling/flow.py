@@ -86,7 +86,7 @@ class Flow:
 
     def step(self, dt):
         """Advance by dt, in two halves where that fails."""
-        self.first_repeat = self.repeated
+        self.dt, self.first_repeat = dt, self.repeated
         self.advance(dt, dt)
         self.time += dt
         self.steps += 1

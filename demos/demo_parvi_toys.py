@@ -32,10 +32,7 @@ def main(argv=None):
         only=("", "names of targets, separated by commas; all when empty"),
         seed=(0, "seed of the starts and of independent samples"),
     )
-    known, wanted = targets(), args.only.split(",") if args.only else list(targets())
-    if unknown := set(wanted) - set(known):
-        raise SystemExit(f"--only: no target {', '.join(unknown)}; there are {', '.join(known)}")
-    chosen = {name: known[name] for name in wanted}
+    chosen = {k: t for k, t in targets().items() if not args.only or k in args.only.split(",")}
     rows, pictures, rng = {}, [], np.random.default_rng(args.seed)
     for name, target in chosen.items():
         exact = target.draw(4000, rng)

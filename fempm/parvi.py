@@ -208,10 +208,6 @@ def start_positions(initial, n, seed):
     x = np.array(x, float)
     if x.ndim != 2 or len(x) < 2 or not np.isfinite(x).all():
         raise ValueError(f"initial positions of shape {x.shape}: give (n, d) finite numbers, n of at least 2")
-    if not np.all(np.ptp(x, axis=0) > 0):
-        raise ValueError(
-            f"initial positions all have the same coordinate {np.argmin(np.ptp(x, axis=0))}: spread them"
-        )
     return x
 
 
@@ -224,6 +220,10 @@ class Sampler:
             raise ValueError(f"{type(self.material).__name__}: give a material without internal variables")
         if amplification is None:
             amplification = self.material.speed**2 if isinstance(self.material, IsothermalGas) else 1.0
+        if not np.all(np.ptp(x, axis=0) > 0):
+            raise ValueError(
+                f"initial positions all have the same coordinate {np.argmin(np.ptp(x, axis=0))}: spread them"
+            )
         self.score, self.amplification, self.options = score, amplification, options
         self.mesh, self.walls, self.own_mesh, self.fixed_size = mesh, walls, mesh is None, size is not None
         d = x.shape[1]
