@@ -12,7 +12,7 @@ from fempm.solver import SimulationError
 from . import fractions, merging
 from .boundaries import Periodic
 from .flow import Flow
-from .mixture import Mixture, add_filled
+from .mixture import Mixture, add_filled, cells_near
 from .sharp import Sharp
 
 GHOST = "ghost_volume_ratio"  # J_g of the particles
@@ -71,7 +71,7 @@ class Coupled(Flow):
             )
         self.interface, self.stages_kind = interface, INTERFACES[interface]
         super().__init__(solid.mesh, eos, initial, boundaries, **options)
-        self.solid, self.openness, self.buffers = solid, openness, {}
+        self.solid, self.openness, self.buffers, self.used = solid, openness, {}, {}
         self.unclaimed, self.solid_rate = 0.0, 0.0
         whole = self.part.whole
         n = len(whole.points)
@@ -135,7 +135,7 @@ class Coupled(Flow):
         sizes = self.part.size, (1,) * whole.cell_nodes.shape[1]
         fractions.add_volumes(*sizes, p.position, p.cell, values, *lists, sums)
         sums = self.ranks.sum(sums)
-        some = np.flatnonzero(sums[:, 0] > 0)
+        some = self.used["shares"] = np.flatnonzero(sums[:, 0] > 0)
         sums[some] /= whole.volumes[some, None]
         alpha, compliance, ghost = sums.T
         if self.interface == "mixture":
@@ -147,10 +147,11 @@ class Coupled(Flow):
         return self.stages.divide_cells(of_gas), compliance, ghost
 
     def buffer(self, name, shape):
-        """An array of zeros that is used again in every step."""
+        """An array of zeros, the same in every step; `used` tells which rows are to be cleared then."""
         if name not in self.buffers:
             self.buffers[name] = np.zeros(shape)
-        self.buffers[name].fill(0)
+        self.buffers[name][self.used.get(name, slice(None))] = 0
+        self.used[name] = slice(None)
         return self.buffers[name]
 
     def settle(self, theta, held):
@@ -221,14 +222,18 @@ class Coupled(Flow):
     def begin(self, U, theta, vertices, mass, velocity, *cells):
         """Give the stages the solid, and closed nodes of U the state of their neighbours. Collective."""
         part, s, whole = self.part, self.part.space, theta
-        theta = theta[part.nodes]
-        sums = self.buffer("beside", (len(theta), 1 + U.shape[1]))
-        merging.add_open_neighbours(np.flatnonzero(theta == 0), theta, *self.graph, U, sums)
+        theta = part.local(theta)
+        number, sums = self.buffer("number", len(theta)), self.buffer("beside", U.shape)
+        merging.add_open_neighbours(np.flatnonzero(theta == 0), theta, *self.graph, U, number, sums)
+        part.sum_nodes(number)
         part.sum_nodes(sums)
-        beside = np.flatnonzero(sums[:, 0] > 0)
+        beside = self.used["number"] = self.used["beside"] = np.flatnonzero(number > 0)
         filled = beside[theta[beside] == 0]
-        U[filled] = sums[filled, 1:] / sums[filled, :1]
-        inverse, start = np.zeros(len(theta)), np.zeros((len(theta), self.mesh.dim))
+        U[filled] = sums[filled] / number[filled, None]
+        inverse, start = (
+            self.buffer("inverse", len(theta)),
+            self.buffer("start", s.points.shape),
+        )
         at, here = part.find(vertices)
         self.heavy = at[here], vertices[here]
         inverse[at[here]] = 1 / mass[here]
@@ -240,27 +245,29 @@ class Coupled(Flow):
         )
 
     def filled_cells(self, theta, compliance, ghost):
-        """What `Mixture.begin` needs of cells: filled, ghost, taken, soft and dry. Collective.
+        """What `Mixture.begin` needs of cells: filled, ghost, taken, soft and cells. Collective.
 
         The ghost's pressure is the mean over the particles by the same weights with which `squeeze` hands
         its change back to them, so that it takes that up; the mean over the nodes is for cells without any.
         """
         part, s = self.part, self.part.space
-        filled = self.buffer("filled", (len(part.dofs), 3))
-        dry, soft = np.empty(len(s.cell_nodes), np.uint8), np.zeros(len(filled), np.uint8)
-        lists = s.cell_nodes, s.cell_pressures, s.weights, s.cell_volumes
-        nodal = ((theta < 1) | (compliance > 0), theta, compliance, ghost)
-        if self.ranks.size > 1:
-            nodal = (values[part.nodes] for values in nodal)
-        add_filled(part.shape, *lists, *nodal, dry, soft, filled)
+        theta, compliance, ghost = (part.local(values) for values in (theta, compliance, ghost))
+        dry, soft = np.empty(len(s.cell_nodes), np.uint8), np.zeros(len(part.dofs), np.uint8)
+        near = ((theta < 1) | (compliance > 0)).view(np.uint8)
+        wet = cells_near(part.shape[1], s.cell_nodes, near, dry)
+        filled = self.buffer("filled", (len(soft), 3))
+        lists = s.cell_nodes, s.cell_pressures, s.weights, s.cell_volumes, wet
+        add_filled(part.shape, *lists, theta, compliance, ghost, soft, filled)
         part.sum_dofs(filled)
-        soft = np.flatnonzero(part.sum_dofs(soft) > 0)
+        soft = self.used["filled"] = np.flatnonzero(part.sum_dofs(soft) > 0)
         own = self.buffer("own", (len(part.whole.pressure_volumes), 2))
-        merging.add_weighted(*self.particle_pressures(), own)
+        dofs, *values = self.particle_pressures()
+        merging.add_weighted(dofs, *values, own)
+        self.used["own"] = dofs.ravel()
         sums = self.ranks.sum(own)[part.dofs] if self.ranks.size > 1 else own
         mean = np.zeros(len(filled))
         merging.divide(soft, sums, filled, mean)
-        return filled, mean, sums[:, 0], soft, dry
+        return filled, mean, sums[:, 0], soft, (wet, dry)
 
     def particle_pressures(self):
         """Dofs (np, k) of the cells of the particles, the particles' weights there, and p_g (np,)."""
@@ -274,7 +281,8 @@ class Coupled(Flow):
     def push_solid(self, dt):
         """Add the force of the pressure to that of the stress at the vertices. Collective."""
         s, stages = self.solid, self.stages
-        change, here = np.zeros(stages.now.shape), np.flatnonzero(stages.inverse > 0)
+        change, here = self.buffer("push", stages.now.shape), np.flatnonzero(stages.inverse > 0)
+        self.used["push"] = here
         now, width = stages.now[here], self.width[here]
         change[here] = push = (now - stages.start[here]) / dt
         speed, size = (np.sqrt(np.einsum("ia,ia->i", x, x)) for x in (now, push))

@@ -60,16 +60,16 @@ def settle(nodes, held, theta, start, adjacent, root):
 
 
 @njit(cache=True)
-def add_open_neighbours(nodes, theta, start, adjacent, U, sums):
-    """Add to `sums` (n, 1 + m) of closed nodes 1 and U (n, m) for each open neighbour; of these, 1 each."""
+def add_open_neighbours(nodes, theta, start, adjacent, U, number, sums):
+    """Add for closed nodes U (n, m) of each open neighbour to `sums` (n, m); 1 to `number` (n,) of both."""
     for i in nodes:
         for e in range(start[i], start[i + 1]):
             j = adjacent[e]
             if theta[j] > 0.0:
-                sums[i, 0] += 1.0
-                sums[j, 0] += 1.0
+                number[i] += 1.0
+                number[j] += 1.0
                 for k in range(U.shape[1]):
-                    sums[i, 1 + k] += U[j, k]
+                    sums[i, k] += U[j, k]
 
 
 @njit(cache=True)

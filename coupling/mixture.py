@@ -24,8 +24,35 @@ EXTRAPOLATE = 1 + np.sqrt(2)  # (1 - gamma) / gamma of the two-stage scheme
 
 
 @njit(**options)
+def add_gas_work(shape, nodes, dofs, coefficients, weights, dry, pressure, velocity, internal, out):
+    """`add_work` in the cells of gas alone, those marked `dry` (nc,)."""
+    per_cell, corners, size = shape
+    work = np.empty(len(corners))
+    for c in range(len(nodes)):
+        if not dry[c]:
+            continue
+        for q in range(len(per_cell)):
+            p, taken, energy = pressure[dofs[c, q]], 0.0, 0.0
+            for b in range(len(corners)):
+                i, own = nodes[c, b], 0.0
+                for a in range(len(size)):
+                    own += coefficients[c, q, b, a] * velocity[i, a]
+                work[b] = p * own
+                taken += p * own
+                energy += weights[q, b] * internal[i]
+            if taken > 0.0:
+                share = taken / energy
+                for b in range(len(corners)):
+                    i = nodes[c, b]
+                    out[i] += work[b] - weights[q, b] * internal[i] * share
+            else:
+                for b in range(len(corners)):
+                    out[nodes[c, b]] += work[b] - weights[q, b] * taken
+
+
+@njit(**options)
 def add_work(
-    shape, nodes, dofs, coefficients, weights, volumes, dry, pressures, theta, alpha, internal, phases, out
+    shape, nodes, dofs, coefficients, weights, volumes, wet, pressures, theta, alpha, internal, phases, out
 ):
     """Add to `out` (n,) the energy that the pressure gives to each node's gas; returns what no gas takes.
 
@@ -33,37 +60,27 @@ def add_work(
     expansion is what the flux of both phases leaves when that of the ghost matrix is taken off: so the gas
     loses what the solid and its ghost gain. What an expansion takes, the nodes pay according to their energy
     `internal` (n,) per open volume: between hot gas and a vacuum they have no equal shares to give.
-    `dry` (nc,) marks cells of gas alone; `pressures` (nq,) are P, that of the ghost matrix, and the rate per
-    volume at which it expands for a difference of the two; `phases` (n, d) are the velocities of the gas,
-    and of the solid before and after.
+    `wet` lists the cells where there is solid; `pressures` (nq,) are P, that of the ghost matrix, and the
+    rate per volume at which it expands for a difference of the two; `phases` (n, d) are the velocities of the
+    gas, and of the solid before and after.
     """
     (per_cell, corners, size), (P, ghost, rate), (gas, old, new) = shape, pressures, phases
     lost, share = 0.0, np.empty(len(corners))
-    for c in range(len(nodes)):
+    for c in wet:
         for q in range(len(per_cell)):
             p, total, shares = P[dofs[c, q]], 0.0, 0.0
             for b in range(len(corners)):
                 i, own = nodes[c, b], 0.0
                 for a in range(len(size)):
-                    own += coefficients[c, q, b, a] * gas[i, a]
-                if not dry[c]:
-                    own *= theta[i]
-                    for a in range(len(size)):
-                        total += 0.5 * alpha[i] * coefficients[c, q, b, a] * (old[i, a] + new[i, a])
+                    own += theta[i] * coefficients[c, q, b, a] * gas[i, a]
+                    total += 0.5 * alpha[i] * coefficients[c, q, b, a] * (old[i, a] + new[i, a])
                 out[i] += p * own
                 total += own
-            if not dry[c]:
-                total -= rate[dofs[c, q]] * (ghost[dofs[c, q]] - p) * volumes[c] / len(per_cell)
+            total -= rate[dofs[c, q]] * (ghost[dofs[c, q]] - p) * volumes[c] / len(per_cell)
             taken = p * total
-            if dry[c] and taken <= 0.0:
-                for b in range(len(corners)):
-                    out[nodes[c, b]] -= weights[q, b] * taken
-                continue
             for b in range(len(corners)):
                 i = nodes[c, b]
-                share[b] = (
-                    weights[q, b] * (1.0 if dry[c] else theta[i]) * (internal[i] if taken > 0.0 else 1.0)
-                )
+                share[b] = weights[q, b] * theta[i] * (internal[i] if taken > 0.0 else 1.0)
                 shares += share[b]
             if shares > 0.0:
                 for b in range(len(corners)):
@@ -74,20 +91,28 @@ def add_work(
 
 
 @njit(**options)
-def add_filled(shape, nodes, dofs, weights, volumes, near, theta, compliance, ghost, dry, soft, out):
-    """Add to `out` (nq, 3) int alpha, int alpha / (lambda_g J_g) and that times p_g.
+def cells_near(corners, nodes, near, dry):
+    """Numbers of the cells that have a node marked `near` (n,); `dry` (nc,) becomes 1 in all others."""
+    numbers, count = np.empty(len(nodes), np.int64), 0
+    for c in range(len(nodes)):
+        found = 0
+        for b in range(len(corners)):
+            found |= near[nodes[c, b]]
+        dry[c] = 1 - found
+        numbers[count] = c
+        count += found
+    return numbers[:count].copy()
 
-    `compliance` (n,) and `ghost` are alpha / (lambda_g J_g) and that times p_g at the nodes. Marks cells that
-    have no node `near` (n,) the solid as `dry` (nc,), and the pressures of all others as `soft` (nq,).
+
+@njit(**options)
+def add_filled(shape, nodes, dofs, weights, volumes, wet, theta, compliance, ghost, soft, out):
+    """Add to `out` (nq, 3) int alpha, int alpha / (lambda_g J_g) and that times p_g, in the cells `wet`.
+
+    `compliance` (n,) and `ghost` are alpha / (lambda_g J_g) and that times p_g at the nodes. Marks the
+    pressures of these cells as `soft` (nq,).
     """
     per_cell, corners, _ = shape
-    for c in range(len(nodes)):
-        dry[c] = 1
-        for b in range(len(corners)):
-            if near[nodes[c, b]]:
-                dry[c] = 0
-        if dry[c]:
-            continue
+    for c in wet:
         for q in range(len(per_cell)):
             soft[dofs[c, q]] = 1
             for b in range(len(corners)):
@@ -141,7 +166,8 @@ class Mixture(Stages):
     Attributes
     ----------
     theta : (n,) open share of the dual cells; wet, closed : nodes where it is not all, and none
-    soft : numbers of the pressures that the solid has a part in; dry : (nc,) marks cells of gas alone
+    soft : numbers of the pressures that the solid has a part in
+    wet_cells : numbers of the cells with solid; dry : (nc,) marks all others
     start, now : (n, d) velocity of the solid at the nodes when the step begins, and after the last stage
     ghost : (nq,) pressure of the ghost matrix as the step begins; P : the last pressure
     lost : energy that the pressure gave to vertices without gas in this step
@@ -175,7 +201,7 @@ class Mixture(Stages):
         self.place = np.full(len(self.part.nodes), -1, np.int32)
         self.place[special] = np.arange(len(special))
 
-    def begin(self, theta, openness, flat, velocity, inverse_mass, filled, ghost, taken, soft, dry, merge):
+    def begin(self, theta, openness, flat, velocity, inverse_mass, filled, ghost, taken, soft, cells, merge):
         """Take up the solid at the start of a step.
 
         Parameters
@@ -185,7 +211,7 @@ class Mixture(Stages):
         velocity, inverse_mass : (n, d), (n,) of the solid, at vertices
         filled : (nq, 2 or more) int alpha and int alpha / (lambda_g J_g); ghost : (nq,) pressure p_g
         taken : (nq,) sums of V / lambda_g of the particles, with which their ghost matrix takes a change up
-        soft, dry : see above
+        soft : see above; cells : `wet_cells` and `dry`
         merge : function that gives nodes which share a state that state, in conserved variables (n, d + 2)
         """
         s = self.part.space
@@ -198,7 +224,8 @@ class Mixture(Stages):
         self.moved = np.zeros(len(theta))
         self.moved[self.wet] = (1 - theta[self.wet]) * (self.inverse[self.wet] > 0)
         self.pushed = self.wet if self.ends is None else np.flatnonzero(inverse_mass)
-        self.taken, self.soft, self.dry, self.merge = taken, soft, dry, merge
+        self.taken, self.soft, self.merge = taken, soft, merge
+        self.wet_cells, self.dry = cells
         self.compliance, self.gas_volume = np.zeros(len(filled)), s.pressure_volumes.copy()
         self.compliance[soft] = filled[soft, 1]
         left = s.pressure_volumes[soft] - filled[soft, 0]
@@ -302,7 +329,7 @@ class Mixture(Stages):
         """
         change = np.zeros_like(velocity)
         mix(self.part.size, self.wet, self.moved, -self.moved, self.lift(velocity), self.now, change)
-        s, wet, flux = self.part.space, np.flatnonzero(self.dry == 0), np.zeros(len(self.P))
+        s, wet, flux = self.part.space, self.wet_cells, np.zeros(len(self.P))
         lists = s.cell_nodes[wet], s.cell_pressures[wet], s.coefficients[wet]
         pressure.add_divergence(self.part.shape, *lists, change, flux)
         return -self.part.sum_dofs(flux)[self.soft] / self.stiffness[self.soft]
@@ -319,12 +346,12 @@ class Mixture(Stages):
     def mobility(self, inverse, tensors):
         """What divides a force by the mass of both phases, see `PressureSystem.solve`."""
         wet, special = self.wet, self.special
-        gas, solid = inverse.copy(), np.zeros(len(inverse))
+        gas = inverse.copy()
         gas[wet] *= self.theta[wet]
-        solid[wet] = self.moved[wet] ** 2 * self.inverse[wet]
+        solid = self.moved[special] ** 2 * self.inverse[special]
         both = gas.copy()
-        both[wet] = np.maximum(gas[wet] + solid[wet], 1e-300)
-        blocks = gas[special, None, None] * tensors + solid[special, None, None] * self.walls
+        both[wet] = np.maximum(gas[wet] + self.moved[wet] ** 2 * self.inverse[wet], 1e-300)
+        blocks = gas[special, None, None] * tensors + solid[:, None, None] * self.walls
         fused = both, special, blocks / both[special, None, None]
         if self.ends is None:
             return fused, None
@@ -341,7 +368,8 @@ class Mixture(Stages):
         part, s, soft = self.part, self.part.space, self.soft
         out, rate = np.zeros(len(self.theta)), np.empty(len(self.P))
         rate[soft] = self.taken[soft] / (dt * s.pressure_volumes[soft])
-        lists = s.cell_nodes, s.cell_pressures, s.coefficients, s.weights, s.cell_volumes, self.dry
-        shares = self.theta, self.moved, internal, (gas, old, new)
-        self.lost += dt * add_work(part.shape, *lists, (self.P, ghost, rate), *shares, out)
+        lists = part.shape, s.cell_nodes, s.cell_pressures, s.coefficients, s.weights
+        add_gas_work(*lists, self.dry, self.P, gas, internal, out)
+        solid = s.cell_volumes, self.wet_cells, (self.P, ghost, rate), self.theta, self.moved
+        self.lost += dt * add_work(*lists, *solid, internal, (gas, old, new), out)
         return part.sum_nodes(out)

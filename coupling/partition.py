@@ -143,10 +143,14 @@ class Part:
         out[self.owned] = values
         return self.sum_dofs(out)
 
+    def local(self, array):
+        """Array (n, ...) of the whole at my nodes; with one rank the array itself."""
+        return array if self.ranks.size == 1 else array[self.nodes]
+
     def gather(self, array):
-        """Array (n, ...) of the whole, on all ranks. Collective."""
+        """Array (n, ...) of the whole, on all ranks; with one rank the array itself. Collective."""
         if self.ranks.size == 1:
-            return array.copy()
+            return array
         out = np.empty((len(self.whole.points), *array.shape[1:]))
         numbers = self.ranks.concatenate(self.nodes[self.mine])
         out[numbers] = self.ranks.concatenate(array[self.mine])

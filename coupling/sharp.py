@@ -12,7 +12,7 @@ definite system for P and h. It is the mixture with other volumes: a vertex's ga
 import numpy as np
 
 from . import pressure
-from .mixture import Mixture, add_work
+from .mixture import Mixture, add_gas_work
 
 
 class SharpSystem(pressure.PressureSystem):
@@ -176,12 +176,9 @@ class Sharp(Mixture):
     def gas_work(self, gas, solid, internal):
         """(n,) power of pressures and multipliers on the gas of each node."""
         part, s = self.part, self.part.space
-        out, ones = np.zeros(len(self.theta)), np.ones(len(self.theta))
-        lists = s.cell_nodes, s.cell_pressures, s.coefficients, s.weights, s.cell_volumes
-        nothing, dry = np.zeros(len(self.P)), np.ones(len(self.P), np.uint8)
-        pressures = np.where(self.of_gas, self.P, 0.0), nothing, nothing
-        phases = ones, 0 * ones, internal, (gas, gas, gas)
-        add_work(part.shape, *lists, dry, pressures, *phases, out)
+        out = np.zeros(len(self.theta))
+        lists = s.cell_nodes, s.cell_pressures, s.coefficients, s.weights
+        add_gas_work(part.shape, *lists, self.of_gas, self.P, gas, internal, out)
         return out - self.h * np.sum(self.normal * solid, axis=1)
 
     def kicked(self, velocity):
