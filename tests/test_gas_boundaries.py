@@ -141,7 +141,7 @@ def swirl(x):
 
 @pytest.mark.parametrize("tilt", [0, 20, 45])
 def test_walls_of_any_direction(tilt):
-    """A turned box has the flow of the straight one, turned, to the solver's 1e-8 per step.
+    """A turned box has the flow of the straight one, turned, to the tolerance of the solver.
 
     With first order: limiters look at components, so that the others depend on the axes.
     """

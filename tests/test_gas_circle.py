@@ -93,7 +93,7 @@ def test_radial_symmetry():
 
 
 def test_momentum_cancels():
-    """No wave has reached the ends: the momentum is zero as at the start, to a tenth of the solver's 1e-8."""
+    """No wave has reached the ends: the momentum is zero as at the start, far below the solver's 1e-6."""
     gas, _ = result(0.04)
     total = np.array([gas.summary()[f"momentum_{a}"] for a in "xy"])
     fields = gas.vertex_fields()

@@ -137,7 +137,7 @@ def test_positivity_that_cannot_be_mended(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("how", ["options", "command line"])
 def test_solver_that_does_not_converge(tmp_path, monkeypatch, how):
-    """One iteration is too few for 1e-8, wherever PETSc is told so; the last state is written."""
+    """One iteration is too few, wherever PETSc is told so; the last state is written."""
     from petsc4py import PETSc
 
     options = PETSc.Options()

@@ -51,7 +51,7 @@ def test_subsonic_inflow_drives_the_flow(pair):
 @pytest.mark.parametrize("pair", PAIRS)
 @pytest.mark.parametrize("d", [1, 2, 3])
 def test_rest_stays_with_open_ends(d, pair, kind):
-    """Sound crosses ten cells in a step: noise of the solver's tolerance, 1e-8, does not grow."""
+    """Sound crosses ten cells in a step: noise of the solver's tolerance does not grow."""
     gas = Flow(box(d, SIZES[d]), AIR, at_rest(1.3, 2.7), KINDS[kind](d), pair=pair)
     for _ in range(100):
         gas.step(10 / SIZES[d] / np.sqrt(1.4 * 2.7 / 1.3))
