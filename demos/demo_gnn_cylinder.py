@@ -11,13 +11,13 @@ import torch
 
 from gnn.config import preset
 from gnn.picture import rollout_strip
-from gnn.rollout import evaluate, rollout, state_fields, write_rollout
+from gnn.rollout import evaluate, predicted_fields, rollout, write_rollout
 from gnn.samples import Meshes, find_trajectories
 from gnn.train import train
 
 KINDS = {  # trajectories, their size, how many of them nobody trains on, and the settings of the training
     "tiny": (8, "mini", 2, {"latent": 32, "depth": 4, "minutes": 4.0, "noise": (0.003,), "batch": 2}),
-    "mini": (50, "mini", 4, {"latent": 64, "depth": 4, "minutes": 60.0, "noise": (0.003,), "batch": 2}),
+    "mini": (50, "mini", 8, {"latent": 64, "depth": 4, "minutes": 60.0, "noise": (0.003,), "batch": 2}),
     "full": (1200, "paper", 200, {"minutes": 1440.0, "batch": 32, "last_rate": 1e-6}),
 }
 
@@ -44,11 +44,16 @@ def main(argv=None):
     found = evaluate(predictor, unseen, every=10)
     print(f"past {held_out} unseen cylinders, {1e3 * found['seconds']:.3g} ms a step; root mean square")
     print("error in m/s       network   nothing changes")
-    for name, what in (("1", "one step"), ("50", "50 steps"), ("last", "at the end"), ("all", "the rollout")):
+    for name, what in {
+        "1": "one step",
+        "50": "over 50 steps",
+        "at_50": "after 50",
+        "all": "over all",
+    }.items():
         print(f"{what:16} {found[f'rmse_{name}']:9.3g} {found[f'persistence_{name}']:9.3g}")
-    states, _, _ = rollout(predictor, unseen, 0)
-    files, trajectory = [write_rollout(out / "rollout.xdmf", unseen, 0, states)], unseen[0][0]
-    for name, guess, truth in state_fields(unseen, 0, states):
+    states, directs, _ = rollout(predictor, unseen, 0)
+    files, trajectory = [write_rollout(out / "rollout.xdmf", unseen, 0, states, directs)], unseen[0][0]
+    for name, guess, truth in predicted_fields(unseen, 0, states, directs):
         drawn = trajectory.graph, trajectory.times, truth, guess
         files.append(rollout_strip(out / f"rollout_{name}.png", *drawn, name=name))
     print("files:", *files, sep="\n  ")

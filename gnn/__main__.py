@@ -78,17 +78,17 @@ def evaluate(args):
 def rollout(args):
     """Write the files of a rollout."""
     from .picture import rollout_film, rollout_strip
-    from .rollout import rollout, state_fields, write_rollout
+    from .rollout import predicted_fields, rollout, write_rollout
 
     predictor, meshes = opened(args)
     out, deforms = Path(args.out), bool(predictor.config.position)
     out.mkdir(parents=True, exist_ok=True)
-    states, _, seconds = rollout(predictor, meshes, args.number, args.steps, args.start, args.boundary)
+    states, directs, seconds = rollout(predictor, meshes, args.number, args.steps, args.start, args.boundary)
     print(f"{len(states) - 1} steps, {1e3 * seconds:.3g} ms each")
-    print(write_rollout(out / "rollout.xdmf", meshes, args.number, states, args.start))
+    print(write_rollout(out / "rollout.xdmf", meshes, args.number, states, directs, args.start))
     trajectory = meshes[args.number][0]
     times = trajectory.times[args.start : args.start + len(states)]
-    for name, found, truth in state_fields(meshes, args.number, states, args.start):
+    for name, found, truth in predicted_fields(meshes, args.number, states, directs, args.start):
         same = trajectory.graph, times, truth, found
         print(rollout_strip(out / f"rollout_{name}.png", *same, name=name, deforms=deforms))
         if args.gif:

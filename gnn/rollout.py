@@ -5,6 +5,7 @@ import time
 import numpy as np
 import torch
 
+from .samples import stack
 from .trajectory import write_trajectory
 
 BOUNDARY = ("prescribed", "frozen")
@@ -41,8 +42,10 @@ def rollout(predictor, meshes, i, steps=None, start=0, boundary="prescribed"):
             if batch is None or deforms:
                 batch = meshes.batch(i, state.cpu().numpy() if deforms else None).to(device)
             after = meshes.state(i, k + 1)
-            change = after - now if boundary == "prescribed" else 0 * now
-            motion = meshes.motion(i, change).to(device) if deforms else None
+            motion = None
+            if deforms:
+                change = after - now if boundary == "prescribed" else 0 * now
+                motion = meshes.motion(i, change).to(device)
             new, direct = predictor.step(batch, state, motion)
             given, now = state if boundary == "frozen" else torch.from_numpy(after).to(device), after
             state = torch.where(learned[:, None], new, given)
@@ -71,10 +74,11 @@ def evaluate(predictor, meshes, steps=None, start=0, only=None, every=1, boundar
     -------
     dict
         rmse_1 : of a single step from true states, over all frames
-        rmse_50, rmse_last : of the rollout after 50 steps (or its end, if that is earlier), and at its end
-        rmse_all : of the rollout, over all its steps; seconds : for a step; and persistence_* of the same
+        rmse_50, rmse_all : of the rollout, over its first 50 steps (or all, if it has fewer) and over all
+        rmse_at_50, rmse_last : at the ends of these; rmse_<name> : of a direct field, in single steps;
+        persistence_* of the same; seconds : for a step
     """
-    kinds = ("1", "50", "last", "all")
+    kinds = ("1", "50", "all", "at_50", "last")
     squares = {f"{who}_{kind}": [] for who in ("rmse", "persistence") for kind in kinds}
     seconds = []
     for i in range(len(meshes)) if only is None else only:
@@ -84,32 +88,47 @@ def evaluate(predictor, meshes, steps=None, start=0, only=None, every=1, boundar
         truth = np.array([meshes.state(i, start + k) for k in range(len(states))])[:, learned]
         found, at = states[:, learned], min(50, len(states) - 1)
         for who, guess in (("rmse", found), ("persistence", np.broadcast_to(truth[0], truth.shape))):
-            for kind, part in (("50", slice(at, at + 1)), ("last", slice(-1, None)), ("all", slice(1, None))):
+            parts = {"50": slice(1, at + 1), "all": slice(1, None)}
+            parts |= {"at_50": slice(at, at + 1), "last": slice(-1, None)}
+            for kind, part in parts.items():
                 squares[f"{who}_{kind}"].append(rmse(guess[part], truth[part]) ** 2)
         for k in range(start, len(trajectory) - 1, every):
-            one, _, _ = rollout(predictor, meshes, i, 1, k, boundary)
+            one, direct, _ = rollout(predictor, meshes, i, 1, k, boundary)
             after = meshes.state(i, k + 1)[learned]
             squares["rmse_1"].append(rmse(one[1][learned], after) ** 2)
             squares["persistence_1"].append(rmse(one[0][learned], after) ** 2)
+            for name, found, truth in predicted_fields(meshes, i, one, direct, k):
+                if name in predictor.config.direct:
+                    for who, guess in (("rmse", found[1]), ("persistence", truth[0])):
+                        error = rmse(guess[learned], truth[1][learned])
+                        squares.setdefault(f"{who}_{name}", []).append(error**2)
     return {name: float(np.sqrt(np.mean(v))) for name, v in squares.items()} | {
         "seconds": float(np.mean(seconds))
     }
 
 
-def state_fields(meshes, i, states, start=0):
-    """Name, predicted and true values (nt, n[, c]) of each field of the state."""
+def predicted_fields(meshes, i, states, directs, start=0):
+    """Name, predicted and true values (nt, n[, c]) of each field of a `rollout`, direct ones at last.
+
+    In the first frame, from which no step leads to a direct field, the true one stands for it.
+    """
     trajectory, config = meshes[i][0], meshes.config
-    widths = [trajectory.fields[name] for name in config.state]
-    truth = np.array([meshes.state(i, start + k) for k in range(len(states))])
-    for name, last, width in zip(config.state, np.cumsum(widths), widths):
-        at = last - 1 if width == 1 else slice(last - width, last)
-        yield name, states[..., at], truth[..., at]
+    frames = range(start, start + len(states))
+    for names, found in ((config.state, states), (config.direct, directs)):
+        if not names:
+            continue
+        truth = np.array([stack(trajectory, names, k) for k in frames])
+        found = np.concatenate([truth[: len(truth) - len(found)], found])
+        widths = [trajectory.fields[name] for name in names]
+        for name, last, width in zip(names, np.cumsum(widths), widths):
+            at = last - 1 if width == 1 else slice(last - width, last)
+            yield name, found[..., at], truth[..., at]
 
 
-def write_rollout(path, meshes, i, states, start=0):
-    """XDMF of what was predicted, of the truth and of their difference, for each field of the state."""
+def write_rollout(path, meshes, i, states, directs, start=0):
+    """XDMF of what was predicted, of the truth and of their difference, for each field of a `rollout`."""
     trajectory, fields = meshes[i][0], {}
-    for name, found, truth in state_fields(meshes, i, states, start):
+    for name, found, truth in predicted_fields(meshes, i, states, directs, start):
         fields |= {name: found, f"{name}_truth": truth, f"{name}_error": found - truth}
     write_trajectory(path, trajectory.graph, trajectory.times[start : start + len(states)], fields)
     return path

@@ -71,10 +71,13 @@ class Training:
         c, saved, shown = self.config, time.monotonic(), 0.0
         self.out.mkdir(parents=True, exist_ok=True)
         with open(self.out / "log.jsonl", "a", encoding="utf-8") as log, interruptible() as asked:
-            while (done := self.progress()) < 1 and not self.agreed(len(asked)):
+            stop = 0
+            while (done := self.progress()) < 1 and not stop:
                 begin = time.monotonic()
                 loss, norm = self.train_step(done)
-                self.seconds += self.agreed(time.monotonic() - begin)
+                now = time.monotonic()
+                spent, age, stop = self.agreed(now - begin, now - saved, len(asked))
+                self.seconds += spent
                 row = {"step": self.step, "loss": loss, "norm": norm, "seconds": self.seconds}
                 row["rate"] = self.optimizers[0].param_groups[0]["lr"]
                 if self.step % c.look_every == 0:
@@ -82,11 +85,11 @@ class Training:
                 if self.rank == 0:
                     print(json.dumps(row), file=log, flush=self.step % 100 == 0 or len(row) > 5)
                     shown = show(done, row, shown)
-                if self.agreed(time.monotonic() - saved) > 60 * c.save_minutes:
+                if age > 60 * c.save_minutes:
                     self.save()
                     saved = time.monotonic()
             self.save()
-            if asked and self.rank == 0:
+            if stop and self.rank == 0:
                 print("\nstopped: the same command goes on from the checkpoint", file=sys.stderr)
         if self.rank == 0:
             print(file=sys.stderr)
@@ -97,13 +100,13 @@ class Training:
         c = self.config
         return self.seconds / (60 * c.minutes) if c.minutes else self.step / c.steps
 
-    def agreed(self, seconds):
-        """The first process's time, so that all stop at the same step."""
+    def agreed(self, *values):
+        """The first process's times and wishes, so that all save and stop at the same step."""
         if self.size == 1:
-            return seconds
-        shared = torch.tensor(seconds, dtype=torch.float64)
+            return values
+        shared = torch.tensor(values, dtype=torch.float64)
         dist.broadcast(shared, 0)
-        return shared.item()
+        return shared.tolist()
 
     def train_step(self, done):
         """One step; returns the mean squared error of all processes and the norm of the gradient."""

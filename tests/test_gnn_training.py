@@ -15,10 +15,10 @@ from scipy.spatial import Delaunay
 from gnn.config import Config, preset
 from gnn.graph import HANDLE, NORMAL, OBSTACLE, WALL, from_cells
 from gnn.optimizers import Muon, learning_rate, orthogonal
-from gnn.rollout import evaluate, rollout
+from gnn.rollout import evaluate, rollout, write_rollout
 from gnn.samples import Meshes, find_trajectories, make_sample
 from gnn.train import BadCheckpoint, Training, load_predictor, read_checkpoint, train
-from gnn.trajectory import write_trajectory
+from gnn.trajectory import Trajectory, write_trajectory
 
 SMALL = {"latent": 16, "depth": 2, "batch": 2, "noise": (0.01,), "held_out": 1, "look_every": 1000}
 DECAY = 0.8  # of the field in a step
@@ -166,6 +166,28 @@ def test_rollout_with_the_exact_step(tmp_path):
     np.testing.assert_array_equal(frozen[-1][~learned], truth[0][~learned])
     with pytest.raises(ValueError, match="boundary 'open'"):
         rollout(predictor, meshes, 0, boundary="open")
+
+
+def test_direct_fields_are_scored_and_written(tmp_path):
+    """A pressure of three times the first component, predicted off by 0.1: so say the errors and the file."""
+    graph = square(np.random.default_rng(4))
+    values = graph.points * DECAY ** np.arange(5)[:, None, None]
+    fields = {"velocity": values, "pressure": 3 * values[:, :, 0]}
+    for i in range(2):
+        write_trajectory(tmp_path / f"{i}.xdmf", graph, np.arange(5.0), fields)
+    c = config(tmp_path, direct=("pressure",), held_out=1)
+    training = Training(c, tmp_path / "out")
+    predictor, meshes, learned = training.predictor, training.held_out, training.held_out.learned(0)
+    predictor.step = lambda batch, state, motion=None: (DECAY * state, 3 * DECAY * state[:, :1] + 0.1)
+    found = evaluate(predictor, meshes)
+    assert found["rmse_1"] < 1e-6 and found["rmse_pressure"] == pytest.approx(0.1, abs=1e-6)
+    changes = np.diff(fields["pressure"], axis=0)[:, learned]
+    assert found["persistence_pressure"] == pytest.approx(np.sqrt(np.mean(changes**2)), rel=1e-5)
+    states, directs, _ = rollout(predictor, meshes, 0, 3, start=1)
+    written = Trajectory(write_rollout(tmp_path / "rollout.xdmf", meshes, 0, states, directs, start=1))
+    for k, error in enumerate([0.0, 0.1, 0.1, 0.1]):
+        np.testing.assert_allclose(written.read("pressure_error", k), error, atol=1e-6)
+        np.testing.assert_allclose(written.read("pressure_truth", k), 3 * values[1 + k, :, 0], atol=1e-6)
 
 
 def test_bodies_that_deform(tmp_path):
