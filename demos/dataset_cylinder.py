@@ -96,16 +96,21 @@ def is_finished(path, parameters):
     return True
 
 
+def mesh_past(size, parameters):
+    """`channel_mesh` of a trajectory, and the mesh size at its cylinder."""
+    near, far, _ = SIZES[size]
+    near = min(near, parameters["radius"] / 2)
+    return *channel_mesh(parameters["centre"], parameters["radius"], near, far), near
+
+
 def make(path, size, parameters, frames=None, refine=1.0):
     """Write a trajectory, in a hidden folder until it is complete; returns a line about it.
 
     Where the flow is unstable it is computed again with half the time step, 1 / `refine` times the usual one.
     """
     start = time.process_time()
-    near, far, usual = SIZES[size]
     (x, y), radius, peak = (parameters[name] for name in ("centre", "radius", "peak"))
-    near = min(near, radius / 2)
-    mesh, facets = channel_mesh((x, y), radius, near, far)
+    mesh, facets, near = mesh_past(size, parameters)
     # Explicit convection bounds the step: the flow is fast where the cylinder narrows the channel.
     steps = int(np.ceil(EVERY * peak / (1 - 2 * radius / HEIGHT) / (0.09 * near) * refine))
     flow = channel_flow(mesh, facets, peak, EVERY / steps)
@@ -115,7 +120,7 @@ def make(path, size, parameters, frames=None, refine=1.0):
     try:
         with MeshFile(hidden, points, cells, static=static) as file:
             # The first frame is that at 0.01 s: the pressure of the initial Stokes flow lacks inertia.
-            for frame in range(1, (frames or usual) + 1):
+            for frame in range(1, (frames or SIZES[size][-1]) + 1):
                 for _ in range(steps):
                     flow.step()
                 velocity, pressure = (a.astype(np.float32) for a in flow.vertex_values())

@@ -4,13 +4,13 @@ import time
 
 import numpy as np
 from coupled_scenes import advance, centre, lagrangian_piston, piston, piston_path
-from matplotlib.figure import Figure
 
 import fempm
 from coupling import Coupled, Flow, IdealGas, Inflow, Outflow, SlipWall
 from coupling.scenes import burst, planar_shock, shocked
 
 from . import ablation
+from .drawing import error_over_time
 
 AIR = IdealGas(1.4)
 PISTONS = {
@@ -194,20 +194,6 @@ def watch(scene):
     return spent
 
 
-def draw(path, rows, error):
-    """Error over run time, one panel per case, one line per solver; `error` names its column by case."""
-    cases = list(dict.fromkeys(row["case"] for row in rows))
-    figure = Figure(figsize=(3.6 * len(cases), 3.8), layout="constrained")
-    for ax, case in zip(figure.subplots(1, len(cases), squeeze=False)[0], cases):
-        for solver in dict.fromkeys(row["solver"] for row in rows):
-            line = [r for r in rows if (r["case"], r["solver"]) == (case, solver) and r[error[case]] > 0]
-            ax.loglog([r["cpu_s"] for r in line], [r[error[case]] for r in line], "o-", label=solver)
-        ax.set(title=case, xlabel="CPU time in s", ylabel=error[case])
-        ax.grid(alpha=0.3)
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=4)
-    figure.savefig(path, dpi=130)
-
-
 def coupled_benchmarks(folder, quick, table, write_csv):
     """All of the above: print tables, write CSV files and a picture into a folder."""
     print("\npiston between two gases: largest error over its stroke against CPU time")
@@ -219,7 +205,8 @@ def coupled_benchmarks(folder, quick, table, write_csv):
     print(table(lifted), flush=True)
     write_csv(folder / "coupled_cylinder.csv", lifted)
     error = {row["case"]: "error_%" for row in rows} | {"cylinder": "apart"}
-    draw(folder / "coupled_error_against_time.png", rows + lifted, error)
+    path = folder / "coupled_error_against_time.png"
+    error_over_time(path, rows + lifted, "case", "solver", error, error)
     print("\nshare of the gas that passes a held wall while sound crosses half of the box")
     print(table(leaks(0.05 if quick else 0.02)), flush=True)
     print("\na coupled step of the shell explosion, CPU time in ms")

@@ -13,6 +13,7 @@ from coupling.cases import CASES, exact_density, mean_error, tube
 from coupling.spaces import PAIRS
 
 from .comparison import output
+from .drawing import error_over_time
 
 HERE = Path(__file__).resolve().parent
 DATA, MESHES = HERE.parent / "data", HERE.parent.parent / "meshes"
@@ -214,20 +215,6 @@ def slow_vortex(h, mach=0.01, turns=0.25):
     return rows
 
 
-def draw(path, rows):
-    """L1 density error over run time, one panel per case, one line per code."""
-    cases = list(dict.fromkeys(row["case"] for row in rows))
-    figure = Figure(figsize=(4.6 * len(cases), 4.0), layout="constrained")
-    for ax, case in zip(figure.subplots(1, len(cases), squeeze=False)[0], cases):
-        for code in dict.fromkeys(row["code"] for row in rows):
-            line = [row for row in rows if (row["case"], row["code"]) == (case, code)]
-            ax.loglog([r["cpu_s"] for r in line], [r["L1"] for r in line], "o-", label=code)
-        ax.set(title=CASES[case].title, xlabel="CPU time in s", ylabel="mean density error")
-        ax.grid(alpha=0.3)
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=4)
-    figure.savefig(path, dpi=130)
-
-
 def gas_benchmarks(folder, quick, table, write_csv):
     """All of the above: print tables, write CSV files and a picture into a folder."""
     cells = (100, 200) if quick else (100, 200, 400, 800, 1600)
@@ -235,7 +222,9 @@ def gas_benchmarks(folder, quick, table, write_csv):
     rows = error_against_time(cells)
     print(table(rows), flush=True)
     write_csv(folder / "gas_error_against_time.csv", rows)
-    draw(folder / "gas_error_against_time.png", rows)
+    titles = {name: CASES[name].title for name in {row["case"] for row in rows}}
+    names = dict.fromkeys(titles, "L1"), dict.fromkeys(titles, "mean density error")
+    error_over_time(folder / "gas_error_against_time.png", rows, "case", "code", *names, titles=titles)
     print("\nthesis's deviation of the density (3.38) against 4096 cells")
     deviation = density_deviation((64, 128) if quick else (128, 256, 512, 1024), 512 if quick else 4096)
     print(table(deviation), flush=True)

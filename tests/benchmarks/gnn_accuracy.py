@@ -7,10 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+from .gnn_models import own_process
+
 ROOT = Path(__file__).parents[2]
 ARCHITECTURES = ("bsms", "meshgraphnets", "ms_gnn_grid", "graph_unets")
 TRANSITIONS = ("contribution", "none", "graph_conv", "position_kernel", "learnable")
-HELD_OUT = 4  # trajectories with cylinders that no training sees
+HELD_OUT = 8  # trajectories with cylinders that no training sees
 SETTINGS = {
     "latent": 64,
     "depth": 4,
@@ -31,20 +33,15 @@ def make_data(folder, trajectories, *more):
 def trained(folder, out, minutes, **changes):
     """Train in a process of its own, for a time, and return the row of a table."""
     options = {**SETTINGS, "data": str(folder), "minutes": minutes, **changes}
-    command = [sys.executable, __file__, json.dumps(options), str(out)]
-    done = subprocess.run(command, check=True, cwd=ROOT, capture_output=True, text=True)
-    return json.loads(done.stdout.splitlines()[-1])
+    return own_process(__name__, options, str(out))
 
 
 def worker(options, out):
     """Train and evaluate; prints the row."""
-    import torch
-
     from gnn.config import preset
     from gnn.rollout import evaluate
     from gnn.train import Training
 
-    torch.set_num_threads(1)
     training = Training(preset("cylinder", **options | {"noise": tuple(options["noise"])}), out)
     training.load()
     predictor = training.run().eval()
@@ -89,12 +86,9 @@ def solver_ms(folder, frames=10):
     seconds = []
     for path in find_trajectories(folder)[-HELD_OUT:]:
         with h5py.File(path.with_suffix(".h5"), "r") as h5:
-            centre, radius, peak, steps = (
-                h5.attrs[k] for k in ("centre", "radius", "peak", "steps_per_frame")
-            )
-        near, far, _ = data.SIZES["mini"]
-        mesh, facets = data.channel_mesh(centre, radius, min(near, radius / 2), far)
-        flow = data.channel_flow(mesh, facets, peak, data.EVERY / steps)
+            about = dict(h5.attrs)
+        steps, (mesh, facets, _) = about["steps_per_frame"], data.mesh_past("mini", about)
+        flow = data.channel_flow(mesh, facets, about["peak"], data.EVERY / steps)
         begin = time.process_time()
         for _ in range(frames * steps):
             flow.step()
@@ -147,4 +141,4 @@ def seeding(folder, out):
 
 
 if __name__ == "__main__":
-    worker(json.loads(sys.argv[1]), sys.argv[2])
+    worker(*json.loads(sys.argv[1]))

@@ -63,15 +63,20 @@ def step(name, nodes, depth, batch, repeats):
     return found | {"coarsest": whole.levels[-1].num_nodes, "s": min(seconds), "GB": peak * 1024 / 1e9}
 
 
-def measure(*args):
-    """`step` in a process of its own, whose peak memory is that of this step."""
+def own_process(module, *args):
+    """What a module, run with `args` in a process of its own and on one thread, prints last, as JSON."""
     paths = os.pathsep.join(p for p in sys.path if p)
     one = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    command = [sys.executable, "-m", __name__, json.dumps(args)]
+    command = [sys.executable, "-m", module, json.dumps(args)]
     done = subprocess.run(
         command, env=os.environ | one | {"PYTHONPATH": paths}, check=True, stdout=subprocess.PIPE, text=True
     )
     return json.loads(done.stdout.splitlines()[-1])
+
+
+def measure(*args):
+    """`step` in a process of its own, whose peak memory is that of this step."""
+    return own_process(__name__, *args)
 
 
 def training_step_table(quick):

@@ -5,10 +5,11 @@ import time
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from fempm.parvi import sample
 from fempm.parvi_diagnostics import compare, sliced_wasserstein, stationary_residual
+
+from .drawing import error_over_time
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent / "demos"))
 
@@ -84,23 +85,6 @@ def beside_independent(names, n, seeds):
     return rows
 
 
-def draw(path, rows):
-    """Sliced W2 over CPU time, one panel per target."""
-    names = list(dict.fromkeys(row["target"] for row in rows))
-    columns = min(3, len(names))
-    figure = Figure(figsize=(3.6 * columns, 3.2 * -(-len(names) // columns)), layout="constrained")
-    for ax, name in zip(figure.subplots(-(-len(names) // columns), columns, squeeze=False).ravel(), names):
-        for sampler, style in (("MPM-ParVI", "o-"), ("SVGD", "s--")):
-            line = [r for r in rows if (r["target"], r["sampler"]) == (name, sampler)]
-            ax.loglog([r["cpu_s"] for r in line], [r["SW2"] for r in line], style, label=sampler)
-        level = next(r["SW2"] for r in rows if (r["target"], r["sampler"]) == (name, "i.i.d."))
-        ax.axhline(level, color="0.5", lw=1, label="independent samples")
-        ax.set(title=name, xlabel="CPU time in s", ylabel="sliced W2")
-        ax.grid(alpha=0.3)
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=3)
-    figure.savefig(path, dpi=130)
-
-
 def parvi_benchmarks(folder, quick, table, write_csv):
     """All of the above: print tables, write CSV files and a picture into a folder."""
     print(
@@ -122,4 +106,6 @@ def parvi_benchmarks(folder, quick, table, write_csv):
         rows = error_against_time(SHOWN, 1000, CROSSINGS, STEPS, 1)
     print(table(rows), flush=True)
     write_csv(folder / "parvi_error_against_time.csv", rows)
-    draw(folder / "parvi_error_against_time.png", rows)
+    path, names = folder / "parvi_error_against_time.png", dict.fromkeys((r["target"] for r in rows), "SW2")
+    labels = dict.fromkeys(names, "sliced W2")
+    error_over_time(path, rows, "target", "sampler", names, labels, columns=3)

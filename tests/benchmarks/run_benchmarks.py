@@ -162,7 +162,7 @@ def main(argv=None):
         if args.only in (None, name):
             benchmarks(args.output, args.quick, table, write_csv)
     if args.only in (None, "gnn"):
-        from benchmarks.gnn import gnn_benchmarks  # loads torch
+        from benchmarks.learning import gnn_benchmarks  # loads torch
 
         gnn_benchmarks(args.output, args.quick, table, write_csv)
     print(f"\nwrote {args.output}/ in {time.perf_counter() - begin:.0f} s")
