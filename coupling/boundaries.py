@@ -228,9 +228,9 @@ def merged_normals(point, areas, centres):
 
 def check_covered(mesh, conditions):
     """Raise a ValueError unless each exterior facet has a condition."""
-    claimed = {tuple(sorted(f)) for c in conditions for name in names(c) for f in mesh.facets(name).tolist()}
-    missing = [f for f in mesh.exterior_facets.tolist() if tuple(sorted(f)) not in claimed]
-    if missing:
+    claimed = [mesh.facets(name).reshape(-1, mesh.dim) for c in conditions for name in names(c)]
+    missing = mesh.other_facets(np.concatenate([np.empty((0, mesh.dim), np.int32), *claimed]))
+    if len(missing):
         at = mesh.points[missing[0]].mean(axis=0)
         raise ValueError(
             f"{len(missing)} facets of the boundary have no condition, the first at {at.tolist()}: "

@@ -1,14 +1,11 @@
 """Posterior of a logistic regression (breast cancer, three parameters) by a gas, beside SVGD (MPM-ParVI)."""
 
-import time
 from pathlib import Path
 
 import numpy as np
-from parvi_posteriors import Logistic
-from svgd import svgd
+from parvi_posteriors import Logistic, gas_and_svgd
 
 from fempm.cli import print_files, scene_arguments
-from fempm.parvi import sample
 from fempm.parvi_picture import draw_marginals
 from fempm.parvi_score import normal_start
 
@@ -21,13 +18,7 @@ def main(argv=None):
         __doc__, argv, until=20.0, n=(1000, "particles"), steps=(300, "steps of SVGD, 0 to leave it out")
     )
     posterior, start = Logistic(), normal_start((0.0, 5.0, 2.0), (0.5, 1.5, 1.0))
-    began = time.process_time()
-    found = sample(posterior.score, start, n=args.n, until=args.until, threads=args.threads)
-    results = {"MPM-ParVI": (found.positions, time.process_time() - began)}
-    if args.steps:
-        began = time.process_time()
-        x = svgd(start(args.n, np.random.default_rng(0)), posterior.score, args.steps, 0.05)
-        results["SVGD"] = x, time.process_time() - began
+    found, results = gas_and_svgd(posterior.score, start, args, 0.05)
     print("           deviation of |mean| in sd, of the sd in %, accuracy, CPU s")
     out = {}
     for name, (x, seconds) in results.items():

@@ -1,14 +1,10 @@
 """Rates of predators and prey (Lotka-Volterra) from noisy counts by a gas, beside SVGD (MPM-ParVI)."""
 
-import time
 from pathlib import Path
 
-import numpy as np
-from parvi_posteriors import TRUE, on_grid, score
-from svgd import svgd
+from parvi_posteriors import TRUE, gas_and_svgd, on_grid, score
 
 from fempm.cli import print_files, scene_arguments
-from fempm.parvi import sample
 from fempm.parvi_picture import draw_marginals
 from fempm.parvi_score import normal_start
 
@@ -19,13 +15,7 @@ def main(argv=None):
     args = scene_arguments(
         __doc__, argv, until=15.0, n=(400, "particles"), steps=(200, "steps of SVGD, 0 to leave it out")
     )
-    start, began = normal_start(TRUE, 0.1), time.process_time()
-    found = sample(score, start, n=args.n, until=args.until, threads=args.threads)
-    results = {"MPM-ParVI": (found.positions, time.process_time() - began)}
-    if args.steps:
-        began = time.process_time()
-        x = svgd(start(args.n, np.random.default_rng(0)), score, args.steps, 0.02)
-        results["SVGD"] = x, time.process_time() - began
+    found, results = gas_and_svgd(score, normal_start(TRUE, 0.1), args, 0.02)
     mean, deviation = on_grid(found.positions.mean(axis=0), 6 * found.positions.std(axis=0))
     print(f"by quadrature: mean {mean.round(4)}, sd {deviation.round(4)}; true ln rates {TRUE.round(4)}")
     print("          mean off in sd, sd off in %, CPU s")

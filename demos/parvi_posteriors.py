@@ -1,9 +1,13 @@
 """Bayesian posteriors of two and three parameters for the demos of `fempm.parvi`."""
 
+import time
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+from svgd import svgd
+
+from fempm.parvi import sample
 
 DATA = Path(__file__).parent.parent / "tests" / "data" / "breast_cancer_components.csv"
 TRUE, NOISE, SEED = np.log([0.8, 1.2]), 0.3, 7  # ln rates, sd of the log counts, seed of the data
@@ -57,6 +61,18 @@ def on_grid(centre, half, n=101):
     weight = np.exp(log - log.max())
     mean = weight @ theta / weight.sum()
     return mean, np.sqrt(weight @ (theta - mean) ** 2 / weight.sum())
+
+
+def gas_and_svgd(score, start, args, rate):
+    """What the gas returns, and name -> (positions, CPU seconds) of it and of SVGD from the same start."""
+    began = time.process_time()
+    found = sample(score, start, n=args.n, until=args.until, threads=args.threads)
+    results = {"MPM-ParVI": (found.positions, time.process_time() - began)}
+    if args.steps:
+        began = time.process_time()
+        x = svgd(start(args.n, np.random.default_rng(0)), score, args.steps, rate)
+        results["SVGD"] = x, time.process_time() - began
+    return found, results
 
 
 class Logistic:

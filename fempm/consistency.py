@@ -165,7 +165,7 @@ def least_squares(
 
 def assemble(kernel, shapes, matrix_too=True):
     """K as CSR (row_start, column, values) or three times None, integrals r (nv, d) and int w (nv,)."""
-    nv, row_start, column, matrix = len(kernel.points), None, None, None
+    nv, lists = len(kernel.points), None
     points, w = quadrature(kernel.dim)
     idle = -len(w) % WIDTH  # points of zero weight fill the last lanes
     rule = np.column_stack([np.append(points, points[:idle], axis=0), np.append(w, np.zeros(idle))])
@@ -176,10 +176,10 @@ def assemble(kernel, shapes, matrix_too=True):
         cell_start, cell_of = ring_cells(*ring, nv)
         row_start = matrix_rows(*ring, cell_start, cell_of, nv)
         column = matrix_columns(*ring, cell_start, cell_of, row_start, nv)
-        matrix = np.zeros(len(column))
+        lists = row_start, column, np.zeros(len(column))
     integral = np.zeros((nv, 1 + kernel.dim))
-    integrate(kernel.axes, kernel.rings, volumes, rule, shapes, row_start, column, matrix, integral)
-    return row_start, column, matrix, integral[:, 1:], integral[:, 0]
+    integrate(kernel.axes, kernel.rings, volumes, rule, shapes, lists, integral)
+    return *(lists or (None,) * 3), integral[:, 1:], integral[:, 0]
 
 
 @njit(cache=True)
@@ -276,25 +276,22 @@ def edge_corners(axes, cell, rings, table):
 
 
 @njit(**options)
-def integrate(axes, rings, volumes, rule, shapes, row_start, column, matrix, integral):
+def integrate(axes, rings, volumes, rule, shapes, lists, integral):
     """Add the integrals of all cells to K and to int w and r.
 
     Parameters
     ----------
     rule : (batches, d + 2, WIDTH) barycentric coordinates and weight of WIDTH points at a time
     shapes : see `equal_cells`
-    matrix : values of K, or None
+    lists : row_start, column and values of K, or None
     integral : (nv, 1 + d)
     """
-    (cells, start, place), vertex = shapes, rings.vertex
+    cells, start, place = shapes
     lent, t, corners = borrow(rings), scratch(TABLE_SIZE), scratch(9)
     rows, columns, sums = scratch(ROWS_SIZE), scratch(ROWS_SIZE), scratch(ROWS_SIZE)
     products = np.empty(MAX_RING * MAX_RING * WIDTH)
-    found, whole, at_place = (
-        np.empty((MAX_RING, MAX_RING)),
-        np.empty((MAX_RING, 1 + len(axes))),
-        np.empty(MAX_RING, np.int64),
-    )
+    found, at_place = np.empty((MAX_RING, MAX_RING)), np.empty(MAX_RING, np.int64)
+    whole = np.empty((MAX_RING, 1 + len(axes)))
     nothing = zeros((0, *axes))  # a row
     size = len(nothing)
     for shape in range(len(start) - 1):
@@ -327,18 +324,26 @@ def integrate(axes, rings, volumes, rule, shapes, row_start, column, matrix, int
             add_totals(whole, k * size, load(sums, k * size, nothing))
             for j in range(n):
                 add_totals(found, k * MAX_RING + j, load(products, k * n + j, nothing[0]))
-        for cell in cells[start[shape] : start[shape + 1]]:
-            own = range(rings.start[cell], rings.start[cell + 1])
-            for k in own:
-                v, row = vertex[k], at_place[place[k]]
-                for a in range(size):
-                    integral[v, a] += whole[row, a]
-                if matrix is not None:
-                    at = row_start[v]
-                    for j in own:
-                        while column[at] < vertex[j]:
-                            at += 1
-                        matrix[at] += found[row, at_place[place[j]]]
+        copies = cells[start[shape] : start[shape + 1]]
+        add_copies(copies, rings.start, rings.vertex, place, at_place, whole, found, integral, lists)
+
+
+@njit(cache=True)
+def add_copies(cells, ring_start, vertex, place, at_place, whole, found, integral, lists):
+    """Add the integrals `whole` and `found` over one cell, found at places `at_place`, for all its copies."""
+    for cell in cells:
+        own = range(ring_start[cell], ring_start[cell + 1])
+        for k in own:
+            v, row = vertex[k], at_place[place[k]]
+            for a in range(integral.shape[1]):
+                integral[v, a] += whole[row, a]
+            if lists is not None:
+                row_start, column, matrix = lists
+                at = row_start[v]
+                for j in own:
+                    while column[at] < vertex[j]:
+                        at += 1
+                    matrix[at] += found[row, at_place[place[j]]]
 
 
 @njit(cache=True)

@@ -87,6 +87,12 @@ class SimplexMesh:
         place[group[:outer]] = np.arange(outer)
         return place[group[outer:]]
 
+    def other_facets(self, facets):
+        """(m, d) int32 vertices of the exterior facets that are not among those given, (nf, d)."""
+        place, other = self.exterior_places(facets), np.ones(len(self.exterior_facets), bool)
+        other[place[place >= 0]] = False
+        return self.exterior_facets[other]
+
 
 def facet_neighbours(cells):
     """Cell neighbours across facets.

@@ -134,8 +134,7 @@ def wall_layer(mesh, walls):
     patches = [
         patch for index, facets in enumerate(facet_sets) for patch in smooth_patches(mesh, index, facets)
     ]
-    claimed = {tuple(sorted(f)) for facets in facet_sets for f in facets.tolist()}
-    still_open = [f for f in mesh.exterior_facets.tolist() if tuple(sorted(f)) not in claimed]
+    empty = np.empty((0, d), np.int32)
     images, incomplete = reflections(mesh, walls, patches)
     layer = assemble_mirrors(mesh, images, walls)
     contact = [f for wall, f in zip(walls, facet_sets, strict=True) if wall.kind == "contact"]
@@ -156,24 +155,24 @@ def wall_layer(mesh, walls):
         vertices,
         project,
         moving,
-        np.array(still_open, np.int32).reshape(-1, d),
-        np.concatenate([np.empty((0, d), np.int32), *contact]),
+        mesh.other_facets(np.concatenate([empty, *facet_sets])),
+        np.concatenate([empty, *contact]),
         incomplete,
     )
 
 
 def check_disjoint(mesh, walls, facet_sets):
     """Each facet is exterior and belongs to one wall at most."""
-    exterior = {tuple(sorted(f)) for f in mesh.exterior_facets.tolist()}
-    seen = {}
-    for wall, facets in zip(walls, facet_sets, strict=True):
-        for facet in facets.tolist():
-            key = tuple(sorted(facet))
-            if key not in exterior:
-                raise ValueError(f"wall {wall.boundary!r}: facet {key} lies inside the mesh")
-            if key in seen:
-                raise ValueError(f"walls {seen[key]!r} and {wall.boundary!r} share facet {key}")
-            seen[key] = wall.boundary
+    owner = np.full(len(mesh.exterior_facets), -1)
+    for index, (wall, facets) in enumerate(zip(walls, facet_sets, strict=True)):
+        keys = np.sort(facets, axis=1).tolist()
+        for key, place in zip(keys, mesh.exterior_places(facets).tolist(), strict=True):
+            if place < 0:
+                raise ValueError(f"wall {wall.boundary!r}: facet {tuple(key)} lies inside the mesh")
+            if owner[place] >= 0:
+                other = walls[owner[place]].boundary
+                raise ValueError(f"walls {other!r} and {wall.boundary!r} share facet {tuple(key)}")
+            owner[place] = index
 
 
 def facet_normals(mesh, facets):
