@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from benchmarks.gnn_accuracy import trained
 from scipy.spatial import Delaunay
 
 from gnn.config import Config, preset
@@ -166,6 +167,18 @@ def test_rollout_with_the_exact_step(tmp_path):
     np.testing.assert_array_equal(frozen[-1][~learned], truth[0][~learned])
     with pytest.raises(ValueError, match="boundary 'open'"):
         rollout(predictor, meshes, 0, boundary="open")
+
+
+def test_row_of_the_benchmark(tmp_path):
+    """Training in a process of its own ends with the errors of the checkpoint that it leaves."""
+    folder, out = decaying(tmp_path / "data"), tmp_path / "out"
+    row = trained(folder, out, 0.01, latent=8, depth=2, held_out=1)
+    predictor = load_predictor(out)
+    meshes = Meshes(find_trajectories(folder)[-1:], predictor.config, predictor.length)
+    found = evaluate(predictor, meshes, every=10)
+    assert row["steps"] > 0 and row["parameters"] == sum(p.numel() for p in predictor.parameters())
+    for name in ("rmse_1", "rmse_all", "persistence_50"):
+        assert row[name] == pytest.approx(found[name], rel=1e-4)
 
 
 def test_direct_fields_are_scored_and_written(tmp_path):
