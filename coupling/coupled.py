@@ -236,6 +236,8 @@ class Coupled(Flow):
         )
         at, here = part.find(vertices)
         self.heavy = at[here], vertices[here]
+        if self.stages.ends is None:  # else nodes in the middle of edges are filled as well
+            self.used["inverse"] = self.used["start"] = at[here]
         inverse[at[here]] = 1 / mass[here]
         start[at[here]] = velocity[here]
         openness = fractions.edge_openness(self.openness, theta, s)

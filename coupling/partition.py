@@ -108,6 +108,8 @@ class Part:
 
     def find(self, nodes):
         """Local numbers of nodes (k,) of the whole, and which of them this rank has, (k,) bool."""
+        if self.ranks.size == 1:
+            return nodes, np.ones(len(nodes), bool)
         at = np.searchsorted(self.nodes, nodes)
         at[at == len(self.nodes)] = 0
         return at, self.nodes[at] == nodes
