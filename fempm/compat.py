@@ -6,6 +6,8 @@ own. It answers, in numpy arrays, what they need to know of a mesh.
 
 import contextlib
 import logging
+import os
+import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -18,6 +20,9 @@ import ufl
 from dolfinx import fem, graph, io, la
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
+
+# DOLFINx lets all that is loaded after it see Debian's BLAS; torch would multiply with that, 20 times slower.
+sys.setdlopenflags(sys.getdlopenflags() | getattr(os, "RTLD_DEEPBIND", 0))
 
 _OLD = not hasattr(fem, "functionspace")
 _ADD = la.ScatterMode.add if _OLD else la.InsertMode.add
