@@ -44,12 +44,7 @@ def main(argv=None):
     found = evaluate(predictor, unseen, every=10)
     print(f"past {held_out} unseen cylinders, {1e3 * found['seconds']:.3g} ms a step; root mean square")
     print("error in m/s       network   nothing changes")
-    for name, what in {
-        "1": "one step",
-        "50": "over 50 steps",
-        "at_50": "after 50",
-        "all": "over all",
-    }.items():
+    for name, what in ("1", "one step"), ("50", "over 50 steps"), ("at_50", "after 50"), ("all", "over all"):
         print(f"{what:16} {found[f'rmse_{name}']:9.3g} {found[f'persistence_{name}']:9.3g}")
     states, directs, _ = rollout(predictor, unseen, 0)
     files, trajectory = [write_rollout(out / "rollout.xdmf", unseen, 0, states, directs)], unseen[0][0]
