@@ -230,10 +230,7 @@ class Coupled(Flow):
         beside = self.used["number"] = self.used["beside"] = np.flatnonzero(number > 0)
         filled = beside[theta[beside] == 0]
         U[filled] = sums[filled] / number[filled, None]
-        inverse, start = (
-            self.buffer("inverse", len(theta)),
-            self.buffer("start", s.points.shape),
-        )
+        inverse, start = self.buffer("inverse", len(theta)), self.buffer("start", s.points.shape)
         at, here = part.find(vertices)
         self.heavy = at[here], vertices[here]
         if self.stages.ends is None:  # else nodes in the middle of edges are filled as well

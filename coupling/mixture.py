@@ -179,8 +179,6 @@ class Mixture(Stages):
         d = s.dim
         self.walls = self.free.copy()  # of the solid, at special nodes: not held at inflows
         self.walls[np.isin(self.special, self.fixed)] = np.eye(d)
-        self.of_cells = np.zeros(len(s.pressure_volumes)), s.pressure_volumes.copy()
-        self.soft = np.empty(0, np.int64)
         # nodes of degree two in the middle of edges take the mean of the solid's velocity at the ends
         self.ends = None
         if s.cell_nodes.shape[1] > d + 1:
@@ -226,14 +224,9 @@ class Mixture(Stages):
         self.moved = np.zeros(len(theta))
         self.moved[self.wet] = (1 - theta[self.wet]) * (self.inverse[self.wet] > 0)
         self.pushed = self.wet if self.ends is None else np.flatnonzero(inverse_mass)
-        self.taken, self.merge = taken, merge
+        self.taken, self.soft, self.merge = taken, soft, merge
         self.wet_cells, self.dry = cells
-        self.compliance, self.gas_volume = self.of_cells
-        self.compliance[self.soft], self.gas_volume[self.soft] = (
-            0,
-            s.pressure_volumes[self.soft],
-        )  # the last ones
-        self.soft = soft
+        self.compliance, self.gas_volume = np.zeros(len(filled)), s.pressure_volumes.copy()
         self.compliance[soft] = filled[soft, 1]
         left = s.pressure_volumes[soft] - filled[soft, 0]
         self.gas_volume[soft] = np.where(left < 1e-12 * s.pressure_volumes[soft], 0, left)

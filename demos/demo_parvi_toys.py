@@ -4,7 +4,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from parvi_targets import targets
+from parvi_targets import chosen
 from svgd import svgd
 
 from fempm.cli import print_files, scene_arguments
@@ -32,9 +32,8 @@ def main(argv=None):
         only=("", "names of targets, separated by commas; all when empty"),
         seed=(0, "seed of the starts and of independent samples"),
     )
-    chosen = {k: t for k, t in targets().items() if not args.only or k in args.only.split(",")}
     rows, pictures, rng = {}, [], np.random.default_rng(args.seed)
-    for name, target in chosen.items():
+    for name, target in chosen(args.only).items():
         exact = target.draw(4000, rng)
         draws = [compare(x, exact, None) for x in (target.draw(args.n, rng) for _ in range(10))]
         began, options = time.process_time(), target.options() | {"threads": args.threads, "seed": args.seed}

@@ -242,3 +242,12 @@ def targets():
         "U3": ridges([(wave, wave_slope, 0.35), lower_3], size=0.2),
         "U4": ridges([(wave, wave_slope, 0.4), lower_4], size=0.2),
     }
+
+
+def chosen(names):
+    """Those `targets` whose names are given, separated by commas, all for ""; a ValueError for others."""
+    known = targets()
+    wanted = names.split(",") if names else list(known)
+    if unknown := [name for name in wanted if name not in known]:
+        raise ValueError(f"no target {', '.join(unknown)}; there are {', '.join(known)}")
+    return {name: known[name] for name in wanted}

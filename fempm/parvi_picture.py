@@ -18,7 +18,7 @@ def draw_samples(path, samples, columns=5):
     from matplotlib.figure import Figure
 
     if not samples:
-        raise ValueError("no samples to draw: none of the names asked for is known")
+        raise ValueError("no samples to draw: give at least one of them")
     columns = min(columns, len(samples))
     rows = -(-len(samples) // columns)
     figure = Figure(figsize=(2.6 * columns, 2.7 * rows), layout="constrained")

@@ -97,14 +97,20 @@ def evaluate(predictor, meshes, steps=None, start=0, only=None, every=1, boundar
             after = meshes.state(i, k + 1)[learned]
             squares["rmse_1"].append(rmse(one[1][learned], after) ** 2)
             squares["persistence_1"].append(rmse(one[0][learned], after) ** 2)
-            for name, found, truth in predicted_fields(meshes, i, one, direct, k):
-                if name in predictor.config.direct:
-                    for who, guess in (("rmse", found[1]), ("persistence", truth[0])):
-                        error = rmse(guess[learned], truth[1][learned])
-                        squares.setdefault(f"{who}_{name}", []).append(error**2)
+            for name, own in columns(trajectory, predictor.config.direct):
+                before, after = (stack(trajectory, [name], j)[learned] for j in (k, k + 1))
+                for who, guess in (("rmse", direct[0][learned][:, own]), ("persistence", before)):
+                    squares.setdefault(f"{who}_{name}", []).append(rmse(guess, after) ** 2)
     return {name: float(np.sqrt(np.mean(v))) for name, v in squares.items()} | {
         "seconds": float(np.mean(seconds))
     }
+
+
+def columns(trajectory, names):
+    """Each name of some fields, and its columns where they are side by side."""
+    widths = [trajectory.fields[name] for name in names]
+    for name, last, width in zip(names, np.cumsum(widths), widths):
+        yield name, slice(last - width, last)
 
 
 def predicted_fields(meshes, i, states, directs, start=0):
@@ -119,10 +125,9 @@ def predicted_fields(meshes, i, states, directs, start=0):
             continue
         truth = np.array([stack(trajectory, names, k) for k in frames])
         found = np.concatenate([truth[: len(truth) - len(found)], found])
-        widths = [trajectory.fields[name] for name in names]
-        for name, last, width in zip(names, np.cumsum(widths), widths):
-            at = last - 1 if width == 1 else slice(last - width, last)
-            yield name, found[..., at], truth[..., at]
+        for name, at in columns(trajectory, names):
+            pair = found[..., at], truth[..., at]
+            yield name, *(a[..., 0] if trajectory.fields[name] == 1 else a for a in pair)
 
 
 def write_rollout(path, meshes, i, states, directs, start=0):

@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from matplotlib.image import imread
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "demos"))
@@ -17,6 +18,8 @@ def test_toys(tmp_path):
     found = demo.main(["--only", "U1", "--n", "300", "--steps", "100", "--output", str(out)])["U1"]
     assert found["parvi"]["SW2"] < min(found["svgd"]["SW2"], 1.2 * found["iid"]["SW2"])
     assert imread(f"{out}.png").std() > 0.05
+    with pytest.raises(ValueError, match="no target U9; there are mild banana"):
+        demo.main(["--only", "U1,U9", "--output", str(out)])
 
 
 def test_logistic(tmp_path, capsys):
