@@ -9,7 +9,7 @@ from fempm import checkpoint, diagnostics
 from fempm.parallel import RemoteError
 from fempm.solver import SimulationError
 
-from . import fractions, merging
+from . import fractions, merging, push
 from .boundaries import Periodic
 from .flow import Flow
 from .mixture import Mixture, add_filled, cells_near
@@ -150,9 +150,12 @@ class Coupled(Flow):
         """An array of zeros, the same in every step; `used` tells which rows are to be cleared then."""
         if name not in self.buffers:
             self.buffers[name] = np.zeros(shape)
-        self.buffers[name][self.used.get(name, slice(None))] = 0
-        self.used[name] = slice(None)
-        return self.buffers[name]
+        array, rows = self.buffers[name], self.used.pop(name, None)
+        if rows is None:
+            array[:] = 0
+        else:
+            push.clear(rows, array.reshape(len(array), -1))
+        return array
 
     def settle(self, theta, held):
         """Close and open nodes, and find where small ones share their state: changes theta. Collective."""
@@ -281,13 +284,10 @@ class Coupled(Flow):
         """Add the force of the pressure to that of the stress at the vertices. Collective."""
         s, stages = self.solid, self.stages
         change, here = self.buffer("push", stages.now.shape), np.flatnonzero(stages.inverse > 0)
-        self.used["push"] = here
-        now, width = stages.now[here], self.width[here]
-        change[here] = push = (now - stages.start[here]) / dt
-        speed, size = (np.sqrt(np.einsum("ia,ia->i", x, x)) for x in (now, push))
-        self.solid_rate = np.max(0.5 * (speed + np.sqrt(speed**2 + 4 * size * width)) / width, initial=0)
-        force, at = self.part.gather(change), self.solid_vertices()
-        s.grids[0, at, 1 + self.mesh.dim :] += s.grids[0, at, :1] * force[at]
+        self.used["push"], size = here, self.part.size
+        states = stages.start, stages.now, self.width
+        self.solid_rate = push.find_acceleration(size, here, *states, dt, change)
+        push.add_force(size, self.solid_vertices(), self.part.gather(change), s.grids[0])
 
     def solid_velocity(self):
         """(n, d) velocity of the solid now, at this rank's nodes at vertices. Collective."""
@@ -306,7 +306,7 @@ class Coupled(Flow):
         """J_g of the particles after the `soft` pressures have changed to those given. Collective."""
         stages, whole, p = self.stages, self.part.whole, self.solid.particles
         change, at = np.zeros(len(stages.P)), stages.soft
-        change[at] = np.where(stages.compliance[at] > 0, stages.ghost[at] - pressure, 0.0)
+        change[at] = np.where(stages.compliance > 0, stages.ghost[at] - pressure, 0.0)
         change = self.part.gather_dofs(change)[whole.cell_pressures[p.cell]]
         if change.shape[1] > 1:
             change = change * self.mesh.barycentric(p.position, p.cell)

@@ -16,9 +16,10 @@ from itertools import combinations
 import numpy as np
 from numba import njit
 
-from . import pressure
+from . import pressure, push
 from .advection import options
 from .stages import Stages
+from .sweep import SolidSweep
 
 EXTRAPOLATE = 1 + np.sqrt(2)  # (1 - gamma) / gamma of the two-stage scheme
 
@@ -27,27 +28,24 @@ EXTRAPOLATE = 1 + np.sqrt(2)  # (1 - gamma) / gamma of the two-stage scheme
 def add_gas_work(shape, nodes, dofs, coefficients, weights, dry, pressure, velocity, internal, out):
     """`add_work` in the cells of gas alone, those marked `dry` (nc,)."""
     per_cell, corners, size = shape
-    work = np.empty(len(corners))
+    work, share = np.empty(len(corners)), np.empty(len(corners))
     for c in range(len(nodes)):
         if not dry[c]:
             continue
         for q in range(len(per_cell)):
-            p, taken, energy = pressure[dofs[c, q]], 0.0, 0.0
+            p, taken, shares = pressure[dofs[c, q]], 0.0, 0.0
             for b in range(len(corners)):
                 i, own = nodes[c, b], 0.0
                 for a in range(len(size)):
                     own += coefficients[c, q, b, a] * velocity[i, a]
                 work[b] = p * own
                 taken += p * own
-                energy += weights[q, b] * internal[i]
-            if taken > 0.0:
-                share = taken / energy
-                for b in range(len(corners)):
-                    i = nodes[c, b]
-                    out[i] += work[b] - weights[q, b] * internal[i] * share
-            else:
-                for b in range(len(corners)):
-                    out[nodes[c, b]] += work[b] - weights[q, b] * taken
+            for b in range(len(corners)):
+                share[b] = weights[q, b] * (internal[nodes[c, b]] if taken > 0.0 else 1.0)
+                shares += share[b]
+            each = taken / shares
+            for b in range(len(corners)):
+                out[nodes[c, b]] += work[b] - share[b] * each
 
 
 @njit(**options)
@@ -60,15 +58,17 @@ def add_work(
     expansion is what the flux of both phases leaves when that of the ghost matrix is taken off: so the gas
     loses what the solid and its ghost gain. What an expansion takes, the nodes pay according to their energy
     `internal` (n,) per open volume: between hot gas and a vacuum they have no equal shares to give.
-    `wet` lists the cells where there is solid; `pressures` (nq,) are P, that of the ghost matrix, and the
-    rate per volume at which it expands for a difference of the two; `phases` (n, d) are the velocities of the
-    gas, and of the solid before and after.
+    `wet` lists the cells where there is solid; `pressures` are P, that of the ghost matrix, the volume by
+    which it expands for a difference of the two, the volume of each of them (nq,), and dt; `phases` (n, d)
+    are the velocities of the gas, and of the solid before and after.
     """
-    (per_cell, corners, size), (P, ghost, rate), (gas, old, new) = shape, pressures, phases
+    (per_cell, corners, size), (P, ghost, taken_up, whole, dt) = shape, pressures
+    gas, old, new = phases
     lost, share = 0.0, np.empty(len(corners))
     for c in wet:
         for q in range(len(per_cell)):
-            p, total, shares = P[dofs[c, q]], 0.0, 0.0
+            k = dofs[c, q]
+            p, total, shares = P[k], 0.0, 0.0
             for b in range(len(corners)):
                 i, own = nodes[c, b], 0.0
                 for a in range(len(size)):
@@ -76,7 +76,7 @@ def add_work(
                     total += 0.5 * alpha[i] * coefficients[c, q, b, a] * (old[i, a] + new[i, a])
                 out[i] += p * own
                 total += own
-            total -= rate[dofs[c, q]] * (ghost[dofs[c, q]] - p) * volumes[c] / len(per_cell)
+            total -= taken_up[k] * (ghost[k] - p) * volumes[c] / (whole[k] * dt * len(per_cell))
             taken = p * total
             for b in range(len(corners)):
                 i = nodes[c, b]
@@ -124,40 +124,20 @@ def add_filled(shape, nodes, dofs, weights, volumes, wet, theta, compliance, gho
 
 
 @njit(**options)
-def add_push(size, nodes, share, inverse, place, walls, dt, force, out):
-    """Add to `out` (n, d) what a force (n, d), of which the solid feels a share, does to it at some nodes.
+def add_ghost(soft, gas_volume, compliance, ghost, stiff, dt, target, stiffness):
+    """Make P* and S (nq,) of the gas those of gas and ghost matrix at the `soft` pressures.
 
-    `place` (n,) is the number of a node's projection in `walls`, -1 where it is free.
+    `stiff` (nq,) is the gas's rho c^2, `ghost` (nq,) the other's P*; `gas_volume` and `compliance` (k,).
     """
-    for i in nodes:
-        for a in range(len(size)):
-            push = force[i, a]
-            if place[i] >= 0:
-                push = 0.0
-                for b in range(len(size)):
-                    push += walls[place[i], a, b] * force[i, b]
-            out[i, a] += dt * inverse[i] * share[i] * push
-
-
-@njit(**options)
-def mix(size, nodes, theta, alpha, gas, solid, out):
-    """Make `out` (n, d), the velocity of the gas, that of both phases at some nodes."""
-    for i in nodes:
-        for a in range(len(size)):
-            out[i, a] = theta[i] * gas[i, a] + alpha[i] * solid[i, a]
-
-
-@njit(**options)
-def both_pressures(gas_volume, star, stiff, soft, ghost, dt, target, stiffness):
-    """P* and S (nq,) of gas, its mean pressure and rho c^2 given, and ghost matrix, its compliance given."""
-    for q in range(len(star)):
-        if soft[q] == 0.0:
-            target[q], stiffness[q] = star[q], gas_volume[q] / (stiff[q] * dt)
+    for k in range(len(soft)):
+        q = soft[k]
+        if compliance[k] == 0.0:
+            stiffness[q] = gas_volume[k] / (stiff[q] * dt)
             continue
-        gas = gas_volume[q] / stiff[q] if gas_volume[q] > 0.0 else 0.0
-        push = gas * star[q] if gas > 0.0 else 0.0
-        target[q] = (push + soft[q] * ghost[q]) / (gas + soft[q])
-        stiffness[q] = (gas + soft[q]) / dt
+        gas = gas_volume[k] / stiff[q] if gas_volume[k] > 0.0 else 0.0
+        push = gas * target[q] if gas > 0.0 else 0.0
+        target[q] = (push + compliance[k] * ghost[q]) / (gas + compliance[k])
+        stiffness[q] = (gas + compliance[k]) / dt
 
 
 class Mixture(Stages):
@@ -166,7 +146,7 @@ class Mixture(Stages):
     Attributes
     ----------
     theta : (n,) open share of the dual cells; wet, closed : nodes where it is not all, and none
-    soft : numbers of the pressures that the solid has a part in
+    soft : numbers of the pressures that the solid has a part in; compliance, gas_volume : of these
     wet_cells : numbers of the cells with solid; dry : (nc,) marks all others
     start, now : (n, d) velocity of the solid at the nodes when the step begins, and after the last stage
     ghost : (nq,) pressure of the ghost matrix as the step begins; P : the last pressure
@@ -177,6 +157,7 @@ class Mixture(Stages):
         super().__init__(*args)
         part, s = self.part, self.part.space
         d = s.dim
+        self.sweep = SolidSweep(self.system) if s.cell_pressures.shape[1] == 1 else None
         self.walls = self.free.copy()  # of the solid, at special nodes: not held at inflows
         self.walls[np.isin(self.special, self.fixed)] = np.eye(d)
         # nodes of degree two in the middle of edges take the mean of the solid's velocity at the ends
@@ -226,10 +207,10 @@ class Mixture(Stages):
         self.pushed = self.wet if self.ends is None else np.flatnonzero(inverse_mass)
         self.taken, self.soft, self.merge = taken, soft, merge
         self.wet_cells, self.dry = cells
-        self.compliance, self.gas_volume = np.zeros(len(filled)), s.pressure_volumes.copy()
-        self.compliance[soft] = filled[soft, 1]
-        left = s.pressure_volumes[soft] - filled[soft, 0]
-        self.gas_volume[soft] = np.where(left < 1e-12 * s.pressure_volumes[soft], 0, left)
+        if self.sweep is not None:
+            self.sweep.begin(self.wet_cells)
+        self.compliance, left = filled[soft, 1], s.pressure_volumes[soft] - filled[soft, 0]
+        self.gas_volume = np.where(left < 1e-12 * s.pressure_volumes[soft], 0, left)
         self.now, self.P, self.ghost, self.lost = self.start, ghost, ghost, 0.0
 
     def lift(self, values):
@@ -271,7 +252,7 @@ class Mixture(Stages):
         if self.ends is not None:
             force, share = self.lower(self.moved[:, None] * force), np.ones(len(force))
         fixed = share, self.inverse, self.place, self.walls, dt
-        add_push(self.part.size, self.pushed, *fixed, force, velocity)
+        push.add_push(self.part.size, self.pushed, *fixed, force, velocity)
         return self.lift(velocity)
 
     def implicit_pressure(self, U, dt, advected=None, star=None):
@@ -288,7 +269,7 @@ class Mixture(Stages):
         gas[self.fixed] = self.fixed_state[:, 1:-1]
         new = self.add_push(dt, force, solid.copy())
         flux = gas.copy()
-        mix(part.size, self.wet, self.theta, self.moved, gas, new, flux)
+        push.mix(part.size, self.wet, self.theta, self.moved, gas, new, flux)
         rhs = -part.divergence(flux, np.empty(len(target)))
         blocks, divide = self.mobility(inverse, tensors)
         increment = self.system.solve(dt, stiffness, *blocks, rhs, divide)
@@ -327,34 +308,31 @@ class Mixture(Stages):
         The ghost matrix has to follow the velocity with which the particles will move: with that from before
         the stress has acted, it would lag behind and feed the solid's waves. Collective.
         """
-        change = np.zeros_like(velocity)
-        mix(self.part.size, self.wet, self.moved, -self.moved, self.lift(velocity), self.now, change)
-        s, wet, flux = self.part.space, self.wet_cells, np.zeros(len(self.P))
-        lists = s.cell_nodes[wet], s.cell_pressures[wet], s.coefficients[wet]
-        pressure.add_divergence(self.part.shape, *lists, change, flux)
-        return -self.part.sum_dofs(flux)[self.soft] / self.stiffness[self.soft]
+        s, flux, soft = self.part.space, np.zeros(len(self.P)), self.soft
+        lists = s.cell_nodes, s.cell_pressures, s.coefficients
+        states = self.moved, self.now, self.lift(velocity)
+        push.add_expansion(self.part.shape, self.wet_cells, *lists, *states, flux)
+        return -self.part.sum_dofs(flux)[soft] / self.stiffness[soft]
 
     def targets(self, U, before, ghost, dt):
         """P* and S (nq,) of the gas and the ghost matrix together. Collective."""
         with np.errstate(all="ignore"):  # cells without gas
-            star, stiff = self.part.means(self.theta * U[:, 0], before.star, before.bulk)
-        target, stiffness = np.empty(len(star)), np.empty(len(star))
-        soft = self.compliance, ghost, dt
-        both_pressures(self.gas_volume, star, stiff, *soft, target, stiffness)
+            target, stiff = self.part.means(self.theta * U[:, 0], before.star, before.bulk)
+            stiffness = self.part.space.pressure_volumes / (stiff * dt)
+        add_ghost(self.soft, self.gas_volume, self.compliance, ghost, stiff, dt, target, stiffness)
         return target, stiffness
 
     def mobility(self, inverse, tensors):
         """What divides a force by the mass of both phases, see `PressureSystem.solve`."""
-        wet, special = self.wet, self.special
-        gas = inverse.copy()
-        gas[wet] *= self.theta[wet]
+        special, both = self.special, inverse.copy()
+        push.mix_mobility(self.wet, self.theta, self.moved, self.inverse, both)
+        gas = inverse[special] * self.theta[special]
         solid = self.moved[special] ** 2 * self.inverse[special]
-        both = gas.copy()
-        both[wet] = np.maximum(gas[wet] + self.moved[wet] ** 2 * self.inverse[wet], 1e-300)
-        blocks = gas[special, None, None] * tensors + solid[:, None, None] * self.walls
+        blocks = gas[:, None, None] * tensors + solid[:, None, None] * self.walls
         fused = both, special, blocks / both[special, None, None]
         if self.ends is None:
             return fused, None
+        gas = inverse * self.theta
 
         def divide(force):
             by_solid = self.add_push(1.0, force, np.zeros_like(force))
@@ -365,11 +343,10 @@ class Mixture(Stages):
 
     def work(self, old, new, gas, ghost, internal, dt):
         """(n,) power of the pressure on the gas of each node, `lost` counting the rest. Collective."""
-        part, s, soft = self.part, self.part.space, self.soft
-        out, rate = np.zeros(len(self.theta)), np.empty(len(self.P))
-        rate[soft] = self.taken[soft] / (dt * s.pressure_volumes[soft])
+        part, s, out = self.part, self.part.space, np.zeros(len(self.theta))
         lists = part.shape, s.cell_nodes, s.cell_pressures, s.coefficients, s.weights
         add_gas_work(*lists, self.dry, self.P, gas, internal, out)
-        solid = s.cell_volumes, self.wet_cells, (self.P, ghost, rate), self.theta, self.moved
+        pressures = self.P, ghost, self.taken, s.pressure_volumes, dt
+        solid = s.cell_volumes, self.wet_cells, pressures, self.theta, self.moved
         self.lost += dt * add_work(*lists, *solid, internal, (gas, old, new), out)
         return part.sum_nodes(out)

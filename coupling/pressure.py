@@ -183,6 +183,7 @@ class PressureSystem:
     Attributes
     ----------
     iterations : of the last solve
+    effective : (n,) 1 / M, its mean over the directions, that the diagonal was last computed with
     """
 
     def __init__(self, part, more=0):
@@ -210,6 +211,12 @@ class PressureSystem:
         self.ksp.setTolerances(rtol=RTOL, atol=0.0, max_it=2000)
         self.ksp.setFromOptions()
         self.right, self.left = matrix.createVecs()
+
+    def use_preconditioner(self, context):
+        """Let a Python object precondition, unless PETSc's options choose another way."""
+        self.ksp.getPC().setType("python")
+        self.ksp.getPC().setPythonContext(context)
+        self.ksp.setFromOptions()
 
     def solve(self, dt, stiffness, inverse, special, tensors, rhs, mobility=None):
         """Solve (stiffness + dt A^T M^-1 A) x = rhs; returns x (nq,).
@@ -267,8 +274,8 @@ class PressureSystem:
     def getDiagonal(self, matrix, diagonal):
         """Diagonal of the matrix, for PETSc."""
         space, (inverse, special, tensors) = self.part.space, self.mass
-        effective = inverse.copy()
-        effective[special] *= np.trace(tensors, axis1=1, axis2=2) / space.dim
+        self.effective = inverse.copy()
+        self.effective[special] *= np.trace(tensors, axis1=1, axis2=2) / space.dim
         sums = self.stiffness.copy()
-        add_diagonal(*self.part.pairs, self.dt * effective, sums)
+        add_diagonal(*self.part.pairs, self.dt * self.effective, sums)
         diagonal.array[:] = sums[self.part.owned]

@@ -66,7 +66,7 @@ class Sharp(Mixture):
                 "interface 'sharp' is for comparison, in 1D and 2D with B1-B0 and on one rank: take 'mixture'"
             )
         super().__init__(part, *args)
-        self.system = SharpSystem(part)
+        self.system, self.sweep = SharpSystem(part), None
 
     def divide_cells(self, of_gas):
         """Give every cell to the gas or to the solid; returns the open shares (n,) of the nodes."""
@@ -106,9 +106,9 @@ class Sharp(Mixture):
     def begin(self, theta, openness, flat, *solid):
         flat = np.union1d(flat, np.flatnonzero(self.tied))
         super().begin(theta, None, flat, *solid)
-        s = self.part.space
-        self.compliance = np.where(self.of_gas, 0.0, np.maximum(self.compliance, 1e-12 * s.cell_volumes))
-        self.gas_volume = np.where(self.of_gas, s.cell_volumes, 0.0)
+        volumes, of_gas = self.part.space.cell_volumes[self.soft], self.of_gas[self.soft]
+        self.compliance = np.where(of_gas, 0.0, np.maximum(self.compliance, 1e-12 * volumes))
+        self.gas_volume = np.where(of_gas, volumes, 0.0)
         self.h = np.zeros(len(theta))
 
     def forces(self, pressures, multipliers):

@@ -138,26 +138,25 @@ def shell(h):
     return Coupled(solid(), AIR, initial, walls), Flow(mesh, AIR, initial, walls), solid()
 
 
-def cost(h, rounds=8, steps=10):
+def cost(h, steps=250):
     """CPU milliseconds of a coupled step and its parts beside one of the gas and one of the solid alone.
 
-    The coupled scene takes turns with the two others, whose steps alternate as in a run of both, so that no
-    scene finds its arrays in the cache. Time steps are the same; the fastest turn counts.
+    The three scenes step in turn, with the same time steps, so that each finds the cache as the others have
+    left it; medians, that of the ratio over pairs of steps which follow each other.
     """
     coupled, gas, solid = shell(h)
-    best, alone, parts, spent = np.inf, (np.inf,), {}, watch(coupled)
-    for k in range(rounds + 1):
-        spent.clear()
-        seconds = sum(timed_step(coupled) for _ in range(steps))
-        apart = [[timed_step(scene, coupled.dt) for scene in (gas, solid)] for _ in range(steps)]
-        if k and seconds < best:
-            best, parts = seconds, {name: 1e3 * s / steps for name, s in spent.items()}
-        if k:
-            alone = min(alone, tuple(np.sum(apart, axis=0)), key=sum)
-    whole, gas_ms, solid_ms = (1e3 * t / steps for t in (best, *alone))
+    spent, parts, times = watch(coupled), [], []
+    for _ in range(steps):
+        spent.update(dict.fromkeys(spent, 0.0))
+        times.append([timed_step(coupled), *(timed_step(scene, coupled.dt) for scene in (gas, solid))])
+        parts.append(list(spent.values()))
+    warm = steps // 10
+    times, parts = 1e3 * np.array(times[warm:]), 1e3 * np.median(parts[warm:], axis=0)
+    whole, gas_ms, solid_ms = np.median(times, axis=0)
     row = {"vertices": len(coupled.mesh.points), "particles": len(solid.particles)}
-    row |= {"coupled_ms": whole, "gas_ms": gas_ms, "solid_ms": solid_ms, "ratio": whole / (gas_ms + solid_ms)}
-    return [row | parts | {"rest": whole - sum(parts.values())}]
+    row |= {"coupled_ms": whole, "gas_ms": gas_ms, "solid_ms": solid_ms}
+    row["ratio"] = np.median(times[:, 0] / times[:, 1:].sum(axis=1))
+    return [row | dict(zip(spent, parts)) | {"rest": whole - parts.sum()}]
 
 
 def timed_step(scene, dt=None):
@@ -177,7 +176,7 @@ def timed(spent, name, call):
         try:
             return call(*args, **options)
         finally:
-            spent[name] = spent.get(name, 0.0) + time.process_time() - begin
+            spent[name] += time.process_time() - begin
 
     return wrapped
 
@@ -193,6 +192,7 @@ def watch(scene):
         ("solve", stages.system, ("solve",)),
         ("step length", scene, ("stable_step",)),
     ):
+        spent[name] = 0.0
         for method in methods:
             setattr(owner, method, timed(spent, name, getattr(owner, method)))
     return spent
