@@ -29,6 +29,8 @@ SOLVERS = {
 def pistons(cells, kinds=tuple(PISTONS)):
     """Rows: case, solver, cells, largest error over the stroke, drift of energy and mass, CPU seconds."""
     rows = []
+    for options in SOLVERS.values():  # compiled before anything is timed
+        advance(piston(10, *PISTONS["M = 1"][:2], **options), 0.01)
     for kind in kinds:
         mass, pressures, until = PISTONS[kind]
         exact = lagrangian_piston(mass, pressures, until, 800)
@@ -77,6 +79,7 @@ def cylinders(sizes, until=(0.15, 0.3), solvers=tuple(SOLVERS)):
     """
     rows = []
     for solver in solvers:
+        advance(cylinder(0.04, **SOLVERS[solver]), 1e-3)  # compiled before anything is timed
         for h in sizes:
             scene, places = cylinder(h, **SOLVERS[solver]), []
             begin = time.process_time()
