@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from coupled_scenes import block_in_blast
-from petsc4py import PETSc
 
 from fempm.parallel import Ranks
 
@@ -21,6 +20,7 @@ def dense(apply, like):
     return np.array(columns).T
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("dim, h, longer", [(2, 0.1, 1.0), (2, 0.1, 100.0), (3, 0.25, 30.0)])
 def test_second_sweep(dim, h, longer):
     """It is the formula of `SolidSweep`, positive definite also when sound crosses many cells in a step."""
@@ -48,11 +48,10 @@ def test_second_sweep(dim, h, longer):
 def test_fewer_iterations():
     """In a quiet blast the ghost matrix costs Jacobi's method iterations that a second sweep saves."""
     found = []
-    for kind in (PETSc.PC.Type.PYTHON, PETSc.PC.Type.JACOBI):
+    for jacobi in (False, True):
         scene = block_in_blast(2, 0.05)
-        scene.stages.system.ksp.getPC().setType(kind)
-        if kind == PETSc.PC.Type.PYTHON:
-            scene.stages.system.use_preconditioner(scene.stages.sweep)
+        if jacobi:
+            scene.stages.system.ksp.getPC().setType("jacobi")
         for _ in range(10):
             scene.dt = scene.stable_step()
             scene.step(scene.dt)
