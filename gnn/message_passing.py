@@ -3,12 +3,14 @@
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
 import torch
 from torch import nn
 from torch.nn import functional as F
 from torch.utils.checkpoint import checkpoint
 
-EPS = 1e-5  # in the normalisation of the layers
+from .edge_sum import EPS, EdgeSum
+
 CHUNK = 2048  # edges worked on at once, so that what belongs to them stays in the cache of a core
 
 
@@ -67,6 +69,16 @@ class EdgeSet:
         return counts.cumsum(0) - counts
 
     @cached_property
+    def bounds(self):
+        """(n + 1,) array: the edges of each receiver are between two of them."""
+        return np.append(self.start.numpy(), len(self.receivers))
+
+    @cached_property
+    def arrays(self):
+        """Senders, receivers and offsets as arrays."""
+        return tuple(x.numpy() for x in (self.senders, self.receivers, self.offsets))
+
+    @cached_property
     def chunks(self):
         """Slices of receivers and of their edges, about `CHUNK` of these in each."""
         edges = len(self.receivers)
@@ -104,67 +116,6 @@ def level_edges(ends, material, world, with_world):
     contact = material if world is None else world
     own = (material, world) if with_world else (material,)
     return [edge_set(*ends[0], *own)] + [edge_set(*e, contact) for e in ends[1:]]
-
-
-class EdgeSum(torch.autograd.Function):
-    """Sums over the edges of each receiver of a network's normalised output, from its first layer on.
-
-    Chunk by chunk; what has a row per edge is stored after the second layer and after the last, nothing else.
-    Weights and bias of the last layer must have mean zero over its outputs: then the LayerNorm is a division
-    by the root of the mean square, and this the weight of a row in its sum.
-    """
-
-    @staticmethod
-    def hidden(edges, e, p, q, weight):
-        """What a chunk e of edges has after the first layer."""
-        h = q.index_select(0, edges.senders[e]).add_(p.index_select(0, edges.receivers[e]))
-        return h.addmm_(edges.offsets[e], weight.t()).relu_()
-
-    @staticmethod
-    def forward(ctx, edges, keep, p, q, weight, second, bias, last, last_bias):
-        size, latent = len(edges.receivers) if keep else 0, len(last)
-        hidden, values, scales = (p.new_empty(size, width) for width in (len(second), latent, 1))
-        out = p.new_empty(edges.num_nodes, latent)
-        for n, e in edges.chunks:
-            h = EdgeSum.hidden(edges, e, p, q, weight)
-            k = torch.addmm(bias, h, second.t(), out=hidden[e] if keep else None).relu_()
-            y = torch.addmm(last_bias, k, last.t(), out=values[e] if keep else None)
-            scale = (torch.linalg.vecdot(y, y) / latent + EPS).rsqrt_()
-            out[n] = row_sums(y, edges.start[n] - e.start, scale)
-            if keep:
-                scales[e, 0] = scale
-        ctx.edges = edges
-        ctx.save_for_backward(p, q, weight, second, bias, last, last_bias, hidden, values, scales)
-        return out
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx, gradient):
-        edges = ctx.edges
-        *inputs, hidden, values, scales = ctx.saved_tensors
-        p, q, weight, second, _, last, _ = inputs
-        dp, dq, dweight, dsecond, dbias, dlast, dlast_bias = grads = [torch.zeros_like(x) for x in inputs]
-        for n, e in edges.chunks:
-            h, k, y, scale = EdgeSum.hidden(edges, e, p, q, weight), hidden[e], values[e], scales[e]
-            g = gradient.index_select(0, edges.receivers[e])
-            along = torch.linalg.vecdot(g, y)[:, None] * scale**2 / len(last)
-            g.addcmul_(y, along, value=-1).mul_(scale)
-            dlast.addmm_(g.t(), k)
-            dlast_bias += g.sum(0)
-            g = torch.ops.aten.threshold_backward(g @ last, k, 0)
-            dsecond.addmm_(g.t(), h)
-            dbias += g.sum(0)
-            g = torch.ops.aten.threshold_backward(g @ second, h, 0)
-            dweight.addmm_(g.t(), edges.offsets[e])
-            dp[n] = row_sums(g, edges.start[n] - e.start)
-            dq.index_add_(0, edges.senders[e], g)
-        return None, None, *grads
-
-
-def row_sums(x, start, weights=None):
-    """Sums of the rows of x from each of `start` to the next."""
-    rows = torch.arange(len(x))
-    return F.embedding_bag(rows, x, start, mode="sum", per_sample_weights=weights)
 
 
 def fused(v, edges):

@@ -11,9 +11,10 @@ from torch.nn import functional as F
 from gnn import message_passing
 from gnn.batch import LevelGraph, join, single
 from gnn.contact import contact_edges
+from gnn.edge_sum import EdgeSum
 from gnn.graph import from_cells
 from gnn.hierarchy import build_hierarchy
-from gnn.message_passing import EdgeSum, MessagePassing, edge_set, edge_sums
+from gnn.message_passing import MessagePassing, edge_set, edge_sums
 from gnn.models import MODELS, make_model
 from gnn.transitions import TABLES
 
@@ -123,6 +124,7 @@ def test_fused_and_plain_sums_agree(monkeypatch):
     fused = gradients(model, batch, x)
     with torch.no_grad():
         assert_close(model(batch, x), fused[0])
+        assert torch.isnan(model(batch, torch.full_like(x, torch.nan))).all()
     monkeypatch.setattr(message_passing, "fused", lambda v, edges: False)
     for a, b in zip(fused, gradients(model, batch, x)):
         assert_close(a, b, 5 * ROUND)
