@@ -18,7 +18,7 @@ class BSMS(nn.Module):
     contact : whether batches have contact edges
     world : whether positions in the deformed mesh are offsets of the mesh's edges too
     transition : between levels, one of `transitions.TABLES`
-    repeats : message passings, of the same weights, on the finest and the coarsest level
+    repeats : message passings on the finest level, each way, and on the coarsest one
     checkpointing : activations are computed again instead of stored, for big meshes
     """
 
@@ -36,7 +36,7 @@ class BSMS(nn.Module):
         checkpointing=False,
     ):
         super().__init__()
-        self.depth, self.contact, self.world, self.repeats = depth, contact, world, repeats
+        self.depth, self.contact, self.world = depth, contact, world
         own = (latent, offset_widths(dim, contact, world), checkpointing)
 
         def passings(n):
@@ -47,6 +47,7 @@ class BSMS(nn.Module):
 
         self.encoder, self.decoder = MLP(num_inputs, latent, latent), MLP(latent, num_outputs, latent, False)
         self.down, self.bottom, self.up = passings(depth), MessagePassing(*own), passings(depth)
+        self.again_down, self.again_bottom, self.again_up = (passings(repeats - 1) for _ in range(3))
         self.pool, self.unpool = transitions(), transitions()
         self.table = TABLES[transition]
 
@@ -56,20 +57,18 @@ class BSMS(nn.Module):
         sets, tables = self.geometry(batch)
         v, skips = self.encoder(features), []
         for l in range(self.depth):
-            v = self.repeated(self.down[l], v, sets[l], l == 0)
+            v = self.down[l](v, sets[l])
+            if l == 0:
+                v = in_turn(self.again_down, v, sets[l])
             skips.append(v)
             v = self.pool[l].down(v, tables[l], sets[l])
-        v = self.repeated(self.bottom, v, sets[-1], True)
+        v = in_turn(self.again_bottom, self.bottom(v, sets[-1]), sets[-1])
         for l in reversed(range(self.depth)):
-            v = self.unpool[l].up(v, tables[l], sets[l])
-            v = skips[l] + self.repeated(self.up[l], v, sets[l], l == 0)
+            v = self.up[l](self.unpool[l].up(v, tables[l], sets[l]), sets[l])
+            if l == 0:
+                v = in_turn(self.again_up, v, sets[l])
+            v = skips[l] + v
         return self.decoder(v)
-
-    def repeated(self, passing, v, sets, several):
-        """Message passings of the same weights."""
-        for _ in range(self.repeats if several else 1):
-            v = passing(v, sets)
-        return v
 
     def geometry(self, batch):
         """Edge sets of levels 0 to depth, and the tables below them, None where a level goes on as it is."""
@@ -84,3 +83,10 @@ class BSMS(nn.Module):
                 world = None if world is None else average.down(world)
         missing = self.depth + 1 - len(sets)
         return sets + sets[-1:] * missing, tables + tables[-1:] * missing
+
+
+def in_turn(passings, v, sets):
+    """Latents (n, latent) after some message passings along the same edges."""
+    for passing in passings:
+        v = passing(v, sets)
+    return v

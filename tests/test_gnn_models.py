@@ -262,12 +262,14 @@ def test_position_kernel_prefers_what_is_close():
     assert TABLES["none"](level, x).up(torch.ones(1, 1))[:, 0].tolist() == [0.0, 1.0, 0.0]
 
 
-def test_repeats_share_weights():
+def test_repeats():
+    """Three message passings more, two on the finest level and one on the coarsest, all of them in use."""
     batch = batch_of(mesh())
     once, twice = model_of("bsms"), model_of("bsms", repeats=2)
-    twice.load_state_dict(once.state_dict())
-    x = features_of(batch)
-    assert (once(batch, x) - twice(batch, x)).abs().max() > 1e-3
+    sizes = [sum(p.numel() for p in model.parameters()) for model in (once, twice, once.bottom)]
+    assert sizes[1] == sizes[0] + 3 * sizes[2]
+    twice(batch, features_of(batch)).square().sum().backward()
+    assert all(p.grad is not None and p.grad.abs().max() > 0 for p in twice.parameters())
 
 
 def test_autocast():
