@@ -208,7 +208,7 @@ class Mixture(Stages):
         self.taken, self.soft, self.merge = taken, soft, merge
         self.wet_cells, self.dry = cells
         if self.sweep is not None:
-            self.sweep.begin(self.wet_cells)
+            self.sweep.cells = self.wet_cells
         self.compliance, left = filled[soft, 1], s.pressure_volumes[soft] - filled[soft, 0]
         self.gas_volume = np.where(left < 1e-12 * s.pressure_volumes[soft], 0, left)
         self.now, self.P, self.ghost, self.lost = self.start, ghost, ghost, 0.0
@@ -332,11 +332,11 @@ class Mixture(Stages):
         fused = both, special, blocks / both[special, None, None]
         if self.ends is None:
             return fused, None
-        gas = inverse * self.theta
+        of_gas = inverse * self.theta
 
         def divide(force):
             by_solid = self.add_push(1.0, force, np.zeros_like(force))
-            pressure.divide_by_mass(self.part.size, gas, special, tensors, force)
+            pressure.divide_by_mass(self.part.size, of_gas, special, tensors, force)
             force += self.moved[:, None] * by_solid
 
         return fused, divide

@@ -172,8 +172,9 @@ class StepFailed(ArithmeticError):
 class PressureSystem:
     """The matrix S + dt A^T M^-1 A, applied cell by cell, and its PETSc solver.
 
-    Conjugate gradients with Jacobi's preconditioner, to `RTOL` of the right hand side, unless PETSc's options
-    (-ksp_rtol, -ksp_monitor, ... on the command line or in PETSC_OPTIONS) say otherwise.
+    Conjugate gradients with Jacobi's preconditioner (or that given to `use_preconditioner`), to `RTOL` of the
+    right hand side, unless PETSc's options (-ksp_rtol, -ksp_monitor, ... on the command line or in
+    PETSC_OPTIONS) say otherwise.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Kernels of what the pressure does to the solid, at the nodes that it reaches."""
+"""Kernels of what passes between gas and solid at the nodes that both reach: forces, velocities, volume."""
 
 import numpy as np
 from numba import njit
@@ -41,7 +41,7 @@ def mix_mobility(nodes, theta, alpha, solid, out):
 def find_acceleration(size, nodes, start, now, width, dt, out):
     """Make `out` (n, d) (now - start) / dt at some nodes; returns the largest rate at which they cross cells.
 
-    That is 1 / t with v t + a t^2 / 4 = width, for the velocity v = `now` and the acceleration a.
+    That is 1 / t with v t + a t^2 = width, for the velocity v = `now` and the acceleration a.
     """
     rate = 0.0
     for i in nodes:

@@ -67,15 +67,20 @@ def second_sweep(corners, size, dofs, nodes, coefficients, matrix, relaxation, x
 class SolidSweep:
     """The preconditioner of a `PressureSystem` with one pressure in each cell, for PETSc.
 
-    It is D^-1 + r D^-1 (D - B) D^-1, D the diagonal of S + dt A^T M^-1 A, and B the part of that matrix that
-    belongs to this rank's cells with solid, walls apart. As the force at a node is the sum over its k cells,
+    It is D^-1 + r D^-1 (D - B) D^-1, D what Jacobi's method takes for the diagonal of S + dt A^T M^-1 A, and
+    B the part of that matrix that belongs to this rank's cells with solid; at walls and open ends M^-1 is its
+    mean over the directions, in D as in B. As the force at a node is the sum over its k cells,
     x . B x is at most x . (S + k (D - S)) x, and the preconditioner is positive definite if
     r (k - 1) (1 - S / D) < 1, which r is chosen for: one where sound crosses little of a cell in a step.
+
+    Attributes
+    ----------
+    cells : numbers of the cells with solid, an array that is new whenever they change
     """
 
     def __init__(self, system):
         space = system.part.space
-        self.system, self.dofs = system, np.empty(0, np.int64)
+        self.system, self.cells, self.numbered = system, np.empty(0, np.int64), None
         self.lists = space.cell_pressures, space.cell_nodes, space.coefficients
         self.sizes = system.part.shape[1:]
         self.most = np.bincount(space.cell_nodes.ravel()).max(initial=1)
@@ -83,10 +88,10 @@ class SolidSweep:
         self.diagonal = system.right.duplicate()
         system.use_preconditioner(self)
 
-    def begin(self, cells):
-        """Take up the numbers of the cells with solid."""
+    def number_cells(self, cells):
+        """Give the nodes of some cells numbers of their own."""
         (dofs, nodes, _), (corners, size) = self.lists, self.sizes
-        self.cells, self.dofs = cells, dofs[cells, 0]
+        self.numbered, self.dofs = cells, dofs[cells, 0]
         self.nodes = np.empty((len(cells), len(corners)), np.int32)
         count = number_nodes(corners, cells, nodes, self.number, self.nodes)
         self.force = np.empty((count, len(size)))
@@ -95,6 +100,8 @@ class SolidSweep:
     def setUp(self, preconditioner):
         """Take up the matrix, for PETSc."""
         system = self.system
+        if self.numbered is not self.cells:
+            self.number_cells(self.cells)
         system.getDiagonal(None, self.diagonal)
         self.inverse = 1 / self.diagonal.array_r
         matrix = system.dt, system.stiffness, system.effective, self.inverse

@@ -16,7 +16,7 @@ from gnn.samples import Meshes, find_trajectories
 from gnn.train import train
 
 KINDS = {  # trajectories, their size, how many of them nobody trains on, and the settings of the training
-    "tiny": (8, "mini", 2, {"latent": 32, "depth": 4, "minutes": 4.0, "noise": (0.003,), "batch": 2}),
+    "tiny": (24, "mini", 4, {"latent": 64, "depth": 4, "minutes": 7.0, "noise": (0.003,), "batch": 2}),
     "mini": (50, "mini", 8, {"latent": 64, "depth": 4, "minutes": 60.0, "noise": (0.003,), "batch": 2}),
     "full": (1200, "paper", 200, {"minutes": 1440.0, "batch": 32, "last_rate": 1e-6}),
 }

@@ -47,7 +47,9 @@ class BSMS(nn.Module):
 
         self.encoder, self.decoder = MLP(num_inputs, latent, latent), MLP(latent, num_outputs, latent, False)
         self.down, self.bottom, self.up = passings(depth), MessagePassing(*own), passings(depth)
-        self.again_down, self.again_bottom, self.again_up = (passings(repeats - 1) for _ in range(3))
+        first = repeats - 1 if depth else 0  # without pooling there is only the way along the bottom
+        self.again_down, self.again_up = passings(first), passings(first)
+        self.again_bottom = passings(repeats - 1)
         self.pool, self.unpool = transitions(), transitions()
         self.table = TABLES[transition]
 

@@ -75,7 +75,8 @@ class Config:
             raise ValueError(f"config: noise {self.noise}, give one for each of {state}")
         if self.contact_radius and not self.position:
             raise ValueError("config: contact edges need the `position` of the deforming bodies")
-        for name in ("latent", "batch", "steps", "rate", "last_rate", "clip", "look_every", "look_steps"):
+        sizes = "latent", "repeats", "batch", "steps", "look_every", "look_steps"
+        for name in (*sizes, "rate", "last_rate", "clip"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"config: {name} {getattr(self, name)} must be positive")
 

@@ -67,7 +67,7 @@ def unnormalise(receivers, gradient, y, scales, out, total):
         i, along, scale = receivers[e], y.dtype.type(0), scales[e]
         for c in range(y.shape[1]):
             along += gradient[i, c] * y[e, c]
-        along *= scale * scale / y.shape[1]
+        along = y.dtype.type(along * scale * scale / y.shape[1])
         for c in range(y.shape[1]):
             out[e, c] = scale * (gradient[i, c] - along * y[e, c])
             total[c] += out[e, c]

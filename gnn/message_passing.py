@@ -121,7 +121,8 @@ def level_edges(ends, material, world, with_world):
 def fused(v, edges):
     """Whether `EdgeSum` can be used: only there is it faster, and its chunks are for caches of processors."""
     simple = not (torch.compiler.is_compiling() or torch.is_autocast_enabled(v.device.type))
-    return simple and v.device.type == "cpu" and not edges.offsets.requires_grad
+    known = v.device.type == "cpu" and v.dtype in (torch.float32, torch.float64)
+    return simple and known and not edges.offsets.requires_grad
 
 
 def edge_sums(mlp, v, edges):
@@ -129,6 +130,8 @@ def edge_sums(mlp, v, edges):
 
     The first layer is linear: its products with v are taken once for every node, not for every edge.
     """
+    if len(v) != edges.num_nodes:
+        raise ValueError(f"features of {len(v)} nodes for a graph of {edges.num_nodes}")
     offsets, latent = edges.offsets.shape[1], v.shape[1]
     weight, to_receiver, to_sender = mlp.first.weight.split([offsets, latent, latent], dim=1)
     p, q = F.linear(v, to_receiver, mlp.first.bias), F.linear(v, to_sender)

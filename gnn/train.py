@@ -188,7 +188,7 @@ class Training:
                 raise BadCheckpoint(
                     f"{path}: of a training with {name} {other!r}, not {own!r}; give another folder"
                 )
-        self.predictor.load_state_dict(state["predictor"])
+        take_up(self.predictor, state, path)
         self.predictor.length = theirs["length"]
         for meshes in (self.meshes, self.held_out):
             meshes.length = theirs["length"]
@@ -261,13 +261,21 @@ def read_checkpoint(path):
     return state
 
 
+def take_up(predictor, state, path):
+    """Give a predictor the weights of a checkpoint; raises BadCheckpoint where they are another's."""
+    try:
+        predictor.load_state_dict(state["predictor"])
+    except RuntimeError as error:
+        raise BadCheckpoint(f"{path}: of another network, delete it to start anew; {error}") from None
+
+
 def load_predictor(path):
     """The trained Predictor of a checkpoint, or of the folder of a training."""
     path = Path(path)
     path = path / "checkpoint.pt" if path.is_dir() else path
     state = read_checkpoint(path)
     predictor = from_description(state["about"])
-    predictor.load_state_dict(state["predictor"])
+    take_up(predictor, state, path)
     return predictor.eval()
 
 

@@ -94,6 +94,8 @@ def test_split_first_layer_is_the_whole_network():
     rows = torch.cat([edges.offsets, v[level.receivers], v[level.senders]], dim=1)
     whole = torch.stack([mlp(rows[level.receivers == i]).sum(0) for i in range(len(v))])
     assert_close(edge_sums(mlp, v, edges), whole, 1e-5)
+    with pytest.raises(ValueError, match=f"features of 3 nodes for a graph of {len(v)}"):
+        edge_sums(mlp, v[:3], edges)
     parts = v[:, :10], v[:, 10:15], v[:, 15:]
     nodes = message_passing.MLP(32, 7, 32, normalised=False)
     assert_close(nodes.after_first(nodes.split(*parts)), nodes(v), 1e-5)

@@ -248,6 +248,11 @@ def test_bad_input(tmp_path):
     with pytest.raises(BadCheckpoint, match="latent 16, not 8"):
         other.load()
     path = tmp_path / "out/checkpoint.pt"
+    state = read_checkpoint(path)
+    state["predictor"].popitem()
+    torch.save(state, tmp_path / "partly.pt")
+    with pytest.raises(BadCheckpoint, match="partly.pt: of another network"):
+        load_predictor(tmp_path / "partly.pt")
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(BadCheckpoint, match="cannot be read"):
         read_checkpoint(path)
