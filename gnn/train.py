@@ -1,5 +1,6 @@
 """Training: noise on the inputs, Muon or Adam, exact checkpoints, several processes by torchrun."""
 
+import ctypes
 import json
 import os
 import signal
@@ -41,6 +42,7 @@ class Training:
     """
 
     def __init__(self, config, out):
+        keep_memory()
         self.config, self.out = config, Path(out)
         self.rank, self.size = start_processes()
         self.device = torch.device("cpu")
@@ -241,6 +243,21 @@ def interruptible():
         yield asked
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def keep_memory():
+    """Let glibc keep what is freed, for all of this process; elsewhere nothing happens.
+
+    Otherwise the pages of every large array are mapped and cleared anew in each step: at 47,000 nodes 10 s of
+    the 26 s of a step.
+    """
+    mmap_max, trim_threshold = -4, -1  # of malloc.h
+    try:
+        mallopt = ctypes.CDLL("libc.so.6").mallopt
+    except (OSError, AttributeError):
+        return
+    mallopt(mmap_max, 0)
+    mallopt(trim_threshold, -1)
 
 
 def on_gpu():

@@ -261,6 +261,18 @@ def test_bad_input(tmp_path):
         load_predictor(path)
 
 
+def test_memory_is_kept():
+    """Twenty arrays of 64 MB after each other have the pages of one mapped, 16,384, not those of each."""
+    program = (
+        "import resource, torch; from gnn.train import keep_memory; keep_memory()\n"
+        "faults = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_minflt; before = faults()\n"
+        "for _ in range(20): torch.ones(2**24)\n"
+        "print(faults() - before)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], check=True, stdout=subprocess.PIPE, text=True)
+    assert int(done.stdout) < 2 * 16_384
+
+
 def test_command_line(tmp_path, capsys):
     """Train, evaluate and roll out by the commands of the README; the files are read by other programs."""
     meshio = pytest.importorskip("meshio")

@@ -15,6 +15,7 @@ from gnn.batch import join, single
 from gnn.graph import NUM_TYPES, from_cells
 from gnn.hierarchy import build_hierarchy
 from gnn.models import make_model
+from gnn.train import keep_memory
 
 # Nodes, poolings, and of the authors' code: CPU seconds of a step on one thread, peak GB, and the ratio of
 # these seconds to those of their flat network with 15 message passings (torch 2.13, float32, batch of one).
@@ -46,6 +47,7 @@ def channel(nodes, seed=0):
 def step(name, nodes, depth, batch, repeats):
     """Of a forward and backward pass: CPU seconds, the least of some, and peak GB over what imports take."""
     torch.set_num_threads(1)
+    keep_memory()
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     graph = channel(nodes)
     one = single(graph, build_hierarchy(graph.edges, graph.points, depth, seeding="close_center"))
