@@ -111,10 +111,9 @@ class EdgeSum(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, edges, keep, p, q, weight, second, bias, last, last_bias):
-        most = max((e.stop - e.start for _, e in edges.chunks), default=0)
-        size = len(edges.receivers) if keep else most
+        size = len(edges.receivers) if keep else edges.longest
         hidden, values = p.new_empty(size, len(second)), p.new_empty(size, len(last))
-        h, scales = p.new_empty(most, p.shape[1]), p.new_empty(size)
+        h, scales = p.new_empty(edges.longest, p.shape[1]), p.new_empty(size)
         out = p.new_empty(edges.num_nodes, len(last))
         nodes = p.detach().numpy(), q.detach().numpy(), weight.detach().t().contiguous().numpy()
         biases = bias.detach().numpy(), last_bias.detach().numpy()
@@ -139,8 +138,8 @@ class EdgeSum(torch.autograd.Function):
         p, q, weight, second, _, last, _ = inputs
         grads = [torch.zeros_like(x) for x in inputs]
         dp, dq, dweight, dsecond, dbias, dlast, dlast_bias = grads
-        most = max((e.stop - e.start for _, e in edges.chunks), default=0)
-        h, at_first, at_second, at_last = (p.new_empty(most, len(x)) for x in (p.T, p.T, second, last))
+        widths = p.shape[1], p.shape[1], len(second), len(last)
+        h, at_first, at_second, at_last = (p.new_empty(edges.longest, width) for width in widths)
         nodes = p.numpy(), q.numpy(), weight.t().contiguous().numpy()
         by_offset = p.new_zeros(weight.T.shape)
         of_first = dp.numpy(), dq.numpy(), by_offset.numpy()

@@ -87,6 +87,11 @@ class EdgeSet:
         ends = [*self.start[nodes[:-1]].tolist(), edges]
         return [(slice(*n), slice(*e)) for n, e in zip(zip(nodes, nodes[1:]), zip(ends, ends[1:]))]
 
+    @cached_property
+    def longest(self):
+        """How many edges the largest chunk has."""
+        return max((e.stop - e.start for _, e in self.chunks), default=0)
+
 
 def edge_set(senders, receivers, *positions):
     """EdgeSet with the offsets, and their lengths, of each of the positions (n, d)."""
@@ -119,7 +124,7 @@ def level_edges(ends, material, world, with_world):
 
 
 def fused(v, edges):
-    """Whether `EdgeSum` can be used: only there is it faster, and its chunks are for caches of processors."""
+    """Whether `EdgeSum` can be used: its chunks are for caches of processors, its kernels for two types."""
     simple = not (torch.compiler.is_compiling() or torch.is_autocast_enabled(v.device.type))
     known = v.device.type == "cpu" and v.dtype in (torch.float32, torch.float64)
     return simple and known and not edges.offsets.requires_grad
