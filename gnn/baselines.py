@@ -5,36 +5,19 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from torch import nn
-from torch.nn import functional as F
 from torch.utils.weak import WeakIdKeyDictionary
 
-from .message_passing import MLP, check_batch, level_edges, offset_widths
-
-
-class LatentPassing(nn.Module):
-    """A message passing with latents on edges that stay and change (Pfaff et al. 2020).
-
-    Parameters
-    ----------
-    latent : width of all latents
-    sets : number of edge sets
-    """
-
-    def __init__(self, latent, sets):
-        super().__init__()
-        self.edges = nn.ModuleList(MLP(3 * latent, latent, latent) for _ in range(sets))
-        self.nodes = MLP((1 + sets) * latent, latent, latent)
-
-    def forward(self, v, ends, latents):
-        """Latents (n, latent) of nodes and of each edge set, whose senders and receivers `ends` has."""
-        sums, changed = [], []
-        for mlp, (senders, receivers), old in zip(self.edges, ends, latents):
-            own, to_receiver, to_sender = mlp.first.weight.chunk(3, dim=1)
-            z = F.linear(old, own, mlp.first.bias) + F.linear(v, to_receiver).index_select(0, receivers)
-            change = mlp.after_first(z + F.linear(v, to_sender).index_select(0, senders))
-            sums.append(change.new_zeros(len(v), change.shape[1]).index_add_(0, receivers, change))
-            changed.append(old + change)
-        return v + self.nodes.after_first(self.nodes.split(v, *sums)), changed
+from .message_passing import (
+    MLP,
+    EdgeSet,
+    MessagePassing,
+    check_batch,
+    edge_encoders,
+    encoded,
+    in_turn,
+    level_edges,
+    offset_widths,
+)
 
 
 class MeshGraphNets(nn.Module):
@@ -52,17 +35,15 @@ class MeshGraphNets(nn.Module):
         self.contact, self.world = contact, world
         widths = offset_widths(dim, contact, world)
         self.encoder, self.decoder = MLP(num_inputs, latent, latent), MLP(latent, num_outputs, latent, False)
-        self.edge_encoders = nn.ModuleList(MLP(k, latent, latent) for k in widths)
-        self.steps = nn.ModuleList(LatentPassing(latent, len(widths)) for _ in range(steps))
+        self.edge_encoders = edge_encoders(latent, widths)
+        own = latent, [latent] * len(widths), True
+        self.steps = nn.ModuleList(MessagePassing(*own) for _ in range(steps))
 
     def forward(self, batch, features):
         """(N, num_outputs) of a GraphBatch and features (N, num_inputs)."""
         check_batch(batch, self.contact, self.world)
         sets = level_edges(batch.levels[0].ends, batch.material, batch.world, self.world)
-        ends = [(s.senders, s.receivers) for s in sets]
-        v, latents = self.encoder(features), [mlp(s.offsets) for mlp, s in zip(self.edge_encoders, sets)]
-        for step in self.steps:
-            v, latents = step(v, ends, latents)
+        v, _ = in_turn(self.steps, self.encoder(features), sets, encoded(self.edge_encoders, sets))
         return self.decoder(v)
 
 
@@ -74,13 +55,13 @@ class GridLevel:
     ----------
     cell : (n,) the cell that each node above is in
     offsets : (n, dim + 1) from the mean position of the cell to the node, and its length
-    ends : senders and receivers of each edge set between cells
+    sets : EdgeSets between cells, without offsets
     merged : for each edge set, the edges above that go on, and which edge each of them is part of
     """
 
     cell: torch.Tensor
     offsets: torch.Tensor
-    ends: list
+    sets: list
     merged: list
 
 
@@ -143,10 +124,11 @@ class MSGNNGrid(nn.Module):
         sets, below = len(widths), len(passes) - 1
 
         def blocks(counts):
-            return nn.ModuleList(nn.ModuleList(LatentPassing(latent, sets) for _ in range(n)) for n in counts)
+            own = latent, [latent] * sets, True
+            return nn.ModuleList(nn.ModuleList(MessagePassing(*own) for _ in range(n)) for n in counts)
 
         self.encoder, self.decoder = MLP(num_inputs, latent, latent), MLP(latent, num_outputs, latent, False)
-        self.edge_encoders = nn.ModuleList(MLP(k, latent, latent) for k in widths)
+        self.edge_encoders = edge_encoders(latent, widths)
         self.down, self.up = blocks(passes), blocks(passes[:-1])
         self.gather_nodes = nn.ModuleList(MLP(dim + 1 + latent, latent, latent) for _ in range(below))
         self.gather_edges = nn.ModuleList(
@@ -155,11 +137,12 @@ class MSGNNGrid(nn.Module):
         self.give_back = nn.ModuleList(MLP(dim + 1 + 2 * latent, latent, latent) for _ in range(below))
         self.grids = WeakIdKeyDictionary()
 
-    def levels(self, batch, ends):
+    def levels(self, batch, sets):
         """GridLevels of a batch, made once for each batch."""
         if batch not in self.grids:
             x, graph = batch.material.double().cpu().numpy(), batch.graph_of_node.cpu().numpy()
-            arrays, levels, size = [[k.cpu().numpy() for k in pair] for pair in ends], [], np.array(self.dx)
+            ends = [(s.senders.cpu().numpy(), s.receivers.cpu().numpy()) for s in sets]
+            levels, size = [], np.array(self.dx)
 
             def tensors(value):
                 if isinstance(value, np.ndarray):
@@ -168,9 +151,10 @@ class MSGNNGrid(nn.Module):
                 return [tensors(v) for v in value]
 
             for _ in self.up:
-                found, x, graph = grid_level(x, graph, arrays, size)
-                arrays, size = found[2], size * self.inflation
-                levels.append(GridLevel(*tensors(found)))
+                (cell, offsets, ends, merged), x, graph = grid_level(x, graph, ends, size)
+                below = [EdgeSet(*tensors(pair), len(x)) for pair in ends]
+                levels.append(GridLevel(tensors(cell), tensors(offsets), below, tensors(merged)))
+                size = size * self.inflation
             self.grids[batch] = levels
         return self.grids[batch]
 
@@ -178,28 +162,25 @@ class MSGNNGrid(nn.Module):
         """(N, num_outputs) of a GraphBatch and features (N, num_inputs)."""
         check_batch(batch, self.contact, self.world)
         sets = level_edges(batch.levels[0].ends, batch.material, batch.world, self.world)
-        ends = [[(s.senders, s.receivers) for s in sets]]
-        levels = self.levels(batch, ends[0])
-        v, latents = self.encoder(features), [mlp(s.offsets) for mlp, s in zip(self.edge_encoders, sets)]
+        levels = self.levels(batch, sets)
+        sets = [sets] + [level.sets for level in levels]
+        v, latents = self.encoder(features), encoded(self.edge_encoders, sets[0])
         kept = []
         for l, block in enumerate(self.down):
-            for passing in block:
-                v, latents = passing(v, ends[l], latents)
+            v, latents = in_turn(block, v, sets[l], latents)
             if l < len(levels):
                 kept.append((v, latents))
                 grid = levels[l]
                 v = self.gather_nodes[l].after_first(self.gather_nodes[l].split(grid.offsets, v))
                 v = mean_rows(v, grid.cell, int(grid.cell.max()) + 1)
                 latents = [
-                    mean_rows(mlp(e.index_select(0, across)), part, len(pairs[0]))
-                    for mlp, e, (across, part), pairs in zip(
-                        self.gather_edges[l], latents, grid.merged, grid.ends
+                    mean_rows(mlp(e.index_select(0, across)), part, len(edges.senders))
+                    for mlp, e, (across, part), edges in zip(
+                        self.gather_edges[l], latents, grid.merged, grid.sets
                     )
                 ]
-                ends.append(grid.ends)
         for l in reversed(range(len(levels))):
             (own, latents), grid, mlp = kept[l], levels[l], self.give_back[l]
             v = own + mlp.after_first(mlp.split(grid.offsets, v.index_select(0, grid.cell), own))
-            for passing in self.up[l]:
-                v, latents = passing(v, ends[l], latents)
+            v, latents = in_turn(self.up[l], v, sets[l], latents)
         return self.decoder(v)

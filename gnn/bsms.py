@@ -2,7 +2,16 @@
 
 from torch import nn
 
-from .message_passing import MLP, MessagePassing, check_batch, level_edges, offset_widths
+from .message_passing import (
+    MLP,
+    MessagePassing,
+    check_batch,
+    edge_encoders,
+    encoded,
+    in_turn,
+    level_edges,
+    offset_widths,
+)
 from .transitions import TABLES, Transition, contribution
 
 
@@ -19,6 +28,7 @@ class BSMS(nn.Module):
     world : whether positions in the deformed mesh are offsets of the mesh's edges too
     transition : between levels, one of `transitions.TABLES`
     repeats : message passings on the finest level, each way, and on the coarsest one
+    edge_latents : whether edges have latents too, which stay on their level from the way down to the way up
     checkpointing : activations are computed again instead of stored, for big meshes
     """
 
@@ -33,23 +43,29 @@ class BSMS(nn.Module):
         world=False,
         transition="contribution",
         repeats=1,
+        edge_latents=False,
         checkpointing=False,
     ):
         super().__init__()
         self.depth, self.contact, self.world = depth, contact, world
-        own = (latent, offset_widths(dim, contact, world), checkpointing)
+        widths = offset_widths(dim, contact, world)
+        on_edges = [latent] * len(widths) if edge_latents else widths
 
         def passings(n):
+            own = latent, on_edges, edge_latents, checkpointing
             return nn.ModuleList(MessagePassing(*own) for _ in range(n))
 
+        def way():
+            return nn.ModuleList(passings(1 if l else repeats) for l in range(depth))
+
         def transitions():
+            own = latent, widths, checkpointing
             return nn.ModuleList(Transition(transition, *own) for _ in range(depth))
 
         self.encoder, self.decoder = MLP(num_inputs, latent, latent), MLP(latent, num_outputs, latent, False)
-        self.down, self.bottom, self.up = passings(depth), MessagePassing(*own), passings(depth)
-        first = repeats - 1 if depth else 0  # without pooling there is only the way along the bottom
-        self.again_down, self.again_up = passings(first), passings(first)
-        self.again_bottom = passings(repeats - 1)
+        levels = depth + 1 if edge_latents else 0
+        self.edge_encoders = nn.ModuleList(edge_encoders(latent, widths) for _ in range(levels))
+        self.down, self.bottom, self.up = way(), passings(repeats), way()
         self.pool, self.unpool = transitions(), transitions()
         self.table = TABLES[transition]
 
@@ -57,18 +73,18 @@ class BSMS(nn.Module):
         """(N, num_outputs) of a GraphBatch and features (N, num_inputs)."""
         check_batch(batch, self.contact, self.world)
         sets, tables = self.geometry(batch)
+        latents = [None] * (self.depth + 1)
+        if self.edge_encoders:
+            latents = [encoded(*own) for own in zip(self.edge_encoders, sets)]
         v, skips = self.encoder(features), []
         for l in range(self.depth):
-            v = self.down[l](v, sets[l])
-            if l == 0:
-                v = in_turn(self.again_down, v, sets[l])
+            v, latents[l] = in_turn(self.down[l], v, sets[l], latents[l])
             skips.append(v)
             v = self.pool[l].down(v, tables[l], sets[l])
-        v = in_turn(self.again_bottom, self.bottom(v, sets[-1]), sets[-1])
+        v, _ = in_turn(self.bottom, v, sets[-1], latents[-1])
         for l in reversed(range(self.depth)):
-            v = self.up[l](self.unpool[l].up(v, tables[l], sets[l]), sets[l])
-            if l == 0:
-                v = in_turn(self.again_up, v, sets[l])
+            v = self.unpool[l].up(v, tables[l], sets[l])
+            v, _ = in_turn(self.up[l], v, sets[l], latents[l])
             v = skips[l] + v
         return self.decoder(v)
 
@@ -85,10 +101,3 @@ class BSMS(nn.Module):
                 world = None if world is None else average.down(world)
         missing = self.depth + 1 - len(sets)
         return sets + sets[-1:] * missing, tables + tables[-1:] * missing
-
-
-def in_turn(passings, v, sets):
-    """Latents (n, latent) after some message passings along the same edges."""
-    for passing in passings:
-        v = passing(v, sets)
-    return v

@@ -22,7 +22,8 @@ class Config:
     noise : standard deviation of what is added to each of the fields, or to the positions, in their unit
     mirror : axes along which the problem is symmetric: half of the samples are mirrored there
     contact_radius : distance below which nodes of deforming bodies are in contact; 0 for no contact edges
-    model, latent, depth, transition, repeats : see `models.MODELS`; the last two are of "bsms" only
+    model, latent, depth : see `models.MODELS`
+    transition, repeats, edge_latents : of "bsms" only
     steps_flat : message passings of "meshgraphnets"
     seeding, top_up : see `hierarchy.build_hierarchy`
     batch : meshes in a step; steps : of the training
@@ -50,6 +51,7 @@ class Config:
     depth: int = 6
     transition: str = "contribution"
     repeats: int = 1
+    edge_latents: bool = False
     steps_flat: int = 15
     seeding: str = "min_average"
     top_up: bool = True

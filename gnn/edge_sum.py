@@ -15,19 +15,14 @@ options = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": sum
 
 
 @njit(**options)
-def first_layer(edges, begin, p, q, weight, out):
-    """Make `out` (m, k) relu(p of receivers + q of senders + offsets . weight) of edges from `begin` on."""
-    (senders, receivers, offsets), zero = edges, out.dtype.type(0)
+def add_nodes(senders, receivers, p, q, out):
+    """Make `out` (m, k) of edges relu(out + p of receivers + q of senders)."""
+    zero = out.dtype.type(0)
     for e in range(len(out)):
-        i, j = receivers[begin + e], senders[begin + e]
+        i, j = receivers[e], senders[e]
         for c in range(out.shape[1]):
-            out[e, c] = p[i, c] + q[j, c]
-        for a in range(offsets.shape[1]):
-            length = offsets[begin + e, a]
-            for c in range(out.shape[1]):
-                out[e, c] += length * weight[a, c]
-        for c in range(out.shape[1]):
-            out[e, c] = zero if out[e, c] < zero else out[e, c]
+            z = out[e, c] + p[i, c] + q[j, c]
+            out[e, c] = zero if z < zero else z
 
 
 @njit(**options)
@@ -42,7 +37,7 @@ def add_bias(bias, k):
 
 @njit(**options)
 def normalised_sums(bias, y, bounds, scales, out):
-    """Add the bias to y (m, k); `out` (n, k) becomes sums of its normalised rows between two of `bounds`.
+    """Add the bias to y (m, k) and normalise its rows; make `out` (n, k) their sums between two of `bounds`.
 
     Rows have mean zero: so the LayerNorm is a product with one over their root mean square, `scales` (m,).
     """
@@ -57,19 +52,28 @@ def normalised_sums(bias, y, bounds, scales, out):
             scale = y.dtype.type(1 / np.sqrt(square / y.shape[1] + EPS))
             scales[e] = scale
             for c in range(y.shape[1]):
-                out[i, c] += scale * y[e, c]
+                y[e, c] *= scale
+                out[i, c] += y[e, c]
 
 
 @njit(**options)
-def unnormalise(receivers, gradient, y, scales, out, total):
-    """Make `out` (m, k) the gradient of y from that of its normalised sums (n, k); add it to `total` (k,)."""
+def unnormalise(receivers, gradient, own, y, scales, out, total):
+    """Make `out` (m, k) the gradient before the normalisation of y, and add it to `total` (k,).
+
+    From the gradients of the sums (n, k) and of the edges' rows, `own` (m, k) or (0, k) where there are none.
+    """
     for e in range(len(out)):
         i, along, scale = receivers[e], y.dtype.type(0), scales[e]
         for c in range(y.shape[1]):
-            along += gradient[i, c] * y[e, c]
-        along = y.dtype.type(along * scale * scale / y.shape[1])
+            out[e, c] = gradient[i, c]
+        if len(own):
+            for c in range(y.shape[1]):
+                out[e, c] += own[e, c]
         for c in range(y.shape[1]):
-            out[e, c] = scale * (gradient[i, c] - along * y[e, c])
+            along += out[e, c] * y[e, c]
+        along = y.dtype.type(along / y.shape[1])
+        for c in range(y.shape[1]):
+            out[e, c] = scale * (out[e, c] - along * y[e, c])
             total[c] += out[e, c]
 
 
@@ -85,74 +89,87 @@ def through_relu(k, gradient, total):
 
 
 @njit(**options)
-def through_first_layer(edges, begin, h, gradient, dp, dq, dweight):
-    """Add what the gradient (m, k) of h, which `first_layer` returned, is of p, q and weight; changes it."""
-    (senders, receivers, offsets), zero = edges, h.dtype.type(0)
+def through_nodes(senders, receivers, h, gradient, dp, dq):
+    """Make the gradient (m, k) of relu(z) = h that of z, in place, and add it to those of p and q."""
+    zero = h.dtype.type(0)
     for e in range(len(h)):
-        i, j = receivers[begin + e], senders[begin + e]
+        i, j = receivers[e], senders[e]
         for c in range(h.shape[1]):
             g = gradient[e, c] if h[e, c] > zero else zero
             gradient[e, c] = g
             dp[i, c] += g
         for c in range(h.shape[1]):
             dq[j, c] += gradient[e, c]
-        for a in range(offsets.shape[1]):
-            length = offsets[begin + e, a]
-            for c in range(h.shape[1]):
-                dweight[a, c] += length * gradient[e, c]
 
 
 class EdgeSum(torch.autograd.Function):
     """Sums over the edges of each receiver of a network's normalised output, from its first layer on.
 
-    What has a row per edge is stored after the second layer and after the last, nothing else. Weights and
-    bias of the last layer must have mean zero over its outputs.
+    That has values of the edges, `x` (E, k), times `weight`, and p and q of receiver and sender. The output
+    of each edge comes back too where `wanted`, else None. What has a row per edge is stored after the second
+    layer and at the end, nothing else. Weights and bias of the last layer must have mean zero over its
+    outputs.
     """
 
     @staticmethod
-    def forward(ctx, edges, keep, p, q, weight, second, bias, last, last_bias):
-        size = len(edges.receivers) if keep else edges.longest
+    def forward(ctx, edges, keep, wanted, x, p, q, weight, second, bias, last, last_bias):
+        size = len(edges.receivers) if keep or wanted else edges.longest
         hidden, values = p.new_empty(size, len(second)), p.new_empty(size, len(last))
         h, scales = p.new_empty(edges.longest, p.shape[1]), p.new_empty(size)
         out = p.new_empty(edges.num_nodes, len(last))
-        nodes = p.detach().numpy(), q.detach().numpy(), weight.detach().t().contiguous().numpy()
         biases = bias.detach().numpy(), last_bias.detach().numpy()
         for n, e in edges.chunks:
-            rows = e if keep else slice(e.stop - e.start)
-            own = h[: e.stop - e.start]
-            first_layer(edges.arrays, e.start, *nodes, own.numpy())
+            rows = e if keep or wanted else slice(e.stop - e.start)
             k, y = hidden[rows], values[rows]
+            own = first_layer(edges, e, x, weight, p, q, h)
             add_bias(biases[0], torch.mm(own, second.t(), out=k).numpy())
             torch.mm(k, last.t(), out=y)
             bounds = edges.bounds[n.start : n.stop + 1]
             normalised_sums(biases[1], y.numpy(), bounds, scales[rows].numpy(), out[n].numpy())
         ctx.edges = edges
-        ctx.save_for_backward(p, q, weight, second, bias, last, last_bias, hidden, values, scales)
-        return out
+        ctx.set_materialize_grads(False)
+        ctx.save_for_backward(x, p, q, weight, second, bias, last, last_bias, hidden, values, scales)
+        return out, values if wanted else None
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx, gradient):
-        edges, gradient = ctx.edges, gradient.contiguous().numpy()
+    def backward(ctx, gradient, own):
+        edges, of_edges = ctx.edges, ctx.needs_input_grad[3]
         *inputs, hidden, values, scales = ctx.saved_tensors
-        p, q, weight, second, _, last, _ = inputs
-        grads = [torch.zeros_like(x) for x in inputs]
+        x, p, q, weight, second, _, last, _ = inputs
+        gradient = p.new_zeros(edges.num_nodes, len(last)) if gradient is None else gradient.contiguous()
+        own = p.new_empty(0, len(last)) if own is None else own.contiguous()
+        grads = [torch.zeros_like(a) for a in inputs[1:]]
         dp, dq, dweight, dsecond, dbias, dlast, dlast_bias = grads
-        widths = p.shape[1], p.shape[1], len(second), len(last)
-        h, at_first, at_second, at_last = (p.new_empty(edges.longest, width) for width in widths)
-        nodes = p.numpy(), q.numpy(), weight.t().contiguous().numpy()
-        by_offset = p.new_zeros(weight.T.shape)
-        of_first = dp.numpy(), dq.numpy(), by_offset.numpy()
+        dx = torch.empty_like(x) if of_edges else None
+        h, at_first, at_second, at_last = (
+            p.new_empty(edges.longest, w) for w in map(len, (p.T, second.T, dbias, last))
+        )
         for _, e in edges.chunks:
-            rows = slice(e.stop - e.start)
-            own, g, g2, g1 = h[rows], at_last[rows], at_second[rows], at_first[rows]
-            k, y, scale, receivers = hidden[e], values[e], scales[e], edges.arrays[1][e]
-            first_layer(edges.arrays, e.start, *nodes, own.numpy())
-            unnormalise(receivers, gradient, y.numpy(), scale.numpy(), g.numpy(), dlast_bias.numpy())
+            rows, ends = slice(e.stop - e.start), [a[e] for a in edges.arrays]
+            first, g, g2, g1 = (
+                first_layer(edges, e, x, weight, p, q, h),
+                at_last[rows],
+                at_second[rows],
+                at_first[rows],
+            )
+            k, mine = hidden[e], own[e] if len(own) else own
+            sums = gradient.numpy(), mine.numpy(), values[e].numpy(), scales[e].numpy()
+            unnormalise(ends[1], *sums, g.numpy(), dlast_bias.numpy())
             dlast.addmm_(g.t(), k)
             through_relu(k.numpy(), torch.mm(g, last, out=g2).numpy(), dbias.numpy())
-            dsecond.addmm_(g2.t(), own)
+            dsecond.addmm_(g2.t(), first)
             torch.mm(g2, second, out=g1)
-            through_first_layer(edges.arrays, e.start, own.numpy(), g1.numpy(), *of_first)
-        dweight += by_offset.t()
-        return None, None, *grads
+            through_nodes(*ends, first.numpy(), g1.numpy(), dp.numpy(), dq.numpy())
+            dweight.addmm_(g1.t(), x[e])
+            if of_edges:
+                torch.mm(g1, weight, out=dx[e])
+        return None, None, None, dx, *grads
+
+
+def first_layer(edges, e, x, weight, p, q, out):
+    """What a slice of edges has after the first layer, in the first rows of `out`."""
+    own = torch.mm(x[e], weight.t(), out=out[: e.stop - e.start])
+    senders, receivers = edges.arrays
+    add_nodes(senders[e], receivers[e], p.detach().numpy(), q.detach().numpy(), own.numpy())
+    return own

@@ -75,7 +75,7 @@ class GraphUNets(nn.Module):
         v, above = self.encoder(features), []
         for passing, score in zip(self.down, self.scores):
             sets = level_edges(ends, x, world, self.world)
-            v = passing(v, sets)
+            v, _ = passing(v, sets)
             gate = torch.sigmoid(score(v)[:, 0] / score.weight.norm())
             kept = highest(gate.detach(), graph, self.ratio)
             above.append((v, sets, kept))
@@ -83,8 +83,8 @@ class GraphUNets(nn.Module):
             v = v.index_select(0, kept) * gate.index_select(0, kept)[:, None]
             x, graph = x[kept], graph[kept]
             world = None if world is None else world[kept]
-        v = self.bottom(v, level_edges(ends, x, world, self.world))
+        v, _ = self.bottom(v, level_edges(ends, x, world, self.world))
         for passing, (skip, sets, kept) in zip(self.up, reversed(above)):
             v = skip.new_zeros(skip.shape).index_add_(0, kept, v.to(skip.dtype))
-            v = skip + passing(v, sets)
+            v = skip + passing(v, sets)[0]
         return self.decoder(v)

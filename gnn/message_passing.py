@@ -1,4 +1,4 @@
-"""Networks of two hidden layers and the message passing of equation (4.2), the hot path of every model."""
+"""Networks of two hidden layers and message passings, equation (4.2), the hot path of every model."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -54,13 +54,14 @@ class EdgeSet:
     ----------
     senders, receivers : (E,) int64
     num_nodes : int
-    offsets : (E, k) differences of positions from the receiver to the sender, and their lengths
+    offsets : (E, k) differences of positions from the receiver to the sender, and their lengths; None where
+        edges have latents only
     """
 
     senders: torch.Tensor
     receivers: torch.Tensor
     num_nodes: int
-    offsets: torch.Tensor
+    offsets: torch.Tensor | None = None
 
     @cached_property
     def start(self):
@@ -75,8 +76,8 @@ class EdgeSet:
 
     @cached_property
     def arrays(self):
-        """Senders, receivers and offsets as arrays."""
-        return tuple(x.numpy() for x in (self.senders, self.receivers, self.offsets))
+        """Senders and receivers as arrays."""
+        return self.senders.numpy(), self.receivers.numpy()
 
     @cached_property
     def chunks(self):
@@ -123,55 +124,80 @@ def level_edges(ends, material, world, with_world):
     return [edge_set(*ends[0], *own)] + [edge_set(*e, contact) for e in ends[1:]]
 
 
-def fused(v, edges):
+def fused(v):
     """Whether `EdgeSum` can be used: its chunks are for caches of processors, its kernels for two types."""
     simple = not (torch.compiler.is_compiling() or torch.is_autocast_enabled(v.device.type))
-    known = v.device.type == "cpu" and v.dtype in (torch.float32, torch.float64)
-    return simple and known and not edges.offsets.requires_grad
+    return simple and v.device.type == "cpu" and v.dtype in (torch.float32, torch.float64)
 
 
-def edge_sums(mlp, v, edges):
+def edge_sums(mlp, v, edges, latents=None, keep=False):
     """Sum (n, latent) over the edges into each node of mlp([offsets, v of receiver, v of sender]).
 
-    The first layer is linear: its products with v are taken once for every node, not for every edge.
+    Where given, latents (E, latent) of the edges stand in the place of the offsets. With `keep` the terms of
+    the sum come back too, added to the latents where there are some; else None. The first layer is linear:
+    its products with v are taken once for every node, not for every edge.
     """
     if len(v) != edges.num_nodes:
         raise ValueError(f"features of {len(v)} nodes for a graph of {edges.num_nodes}")
-    offsets, latent = edges.offsets.shape[1], v.shape[1]
-    weight, to_receiver, to_sender = mlp.first.weight.split([offsets, latent, latent], dim=1)
+    x, width = edges.offsets if latents is None else latents, v.shape[1]
+    weight, to_receiver, to_sender = mlp.first.weight.split([x.shape[1], width, width], dim=1)
     p, q = F.linear(v, to_receiver, mlp.first.bias), F.linear(v, to_sender)
-    if fused(v, edges):
+    if fused(v):
         second, last = mlp.second, mlp.last
         centred = last.weight - last.weight.mean(0), last.bias - last.bias.mean()
-        keep = torch.is_grad_enabled()
-        return EdgeSum.apply(edges, keep, p, q, weight, second.weight, second.bias, *centred)
-    z = p.index_select(0, edges.receivers) + q.index_select(0, edges.senders)
-    y = mlp.after_first(z + F.linear(edges.offsets, weight))
-    return y.new_zeros(edges.num_nodes, y.shape[1]).index_add_(0, edges.receivers, y)
+        layers = weight, second.weight, second.bias, *centred
+        sums, y = EdgeSum.apply(edges, torch.is_grad_enabled(), keep, x, p, q, *layers)
+    else:
+        z = p.index_select(0, edges.receivers) + q.index_select(0, edges.senders)
+        y = mlp.after_first(z + F.linear(x, weight))
+        sums = y.new_zeros(edges.num_nodes, y.shape[1]).index_add_(0, edges.receivers, y)
+    if not keep:
+        return sums, None
+    return sums, y if latents is None else latents + y
 
 
 class MessagePassing(nn.Module):
-    """One message passing without latents on edges, equation (4.2).
+    """One message passing, equation (4.2).
 
     Parameters
     ----------
     latent : width of the latents of nodes
-    widths : of the offsets of each edge set, see `offset_widths`
+    widths : of what each edge set comes with, its offsets (`offset_widths`) or latents
+    keep : whether messages stay on the edges, as their latents or added to them (Pfaff et al. 2020)
     checkpointing : activations are computed again in the backward pass instead of stored
     """
 
-    def __init__(self, latent, widths, checkpointing=False):
+    def __init__(self, latent, widths, keep=False, checkpointing=False):
         super().__init__()
         self.edges = nn.ModuleList(MLP(k + 2 * latent, latent, latent) for k in widths)
         self.nodes = MLP((1 + len(widths)) * latent, latent, latent)
-        self.checkpointing = checkpointing
+        self.keep, self.checkpointing = keep, checkpointing
 
-    def forward(self, v, sets):
-        """Latents (n, latent) after messages along the edges of each EdgeSet."""
+    def forward(self, v, sets, latents=None):
+        """Latents (n, latent) of nodes and a list of those of edges, after messages along each EdgeSet."""
         if self.checkpointing and torch.is_grad_enabled():
-            return checkpoint(self.update, v, sets, use_reentrant=False)
-        return self.update(v, sets)
+            return checkpoint(self.update, v, sets, latents, use_reentrant=False)
+        return self.update(v, sets, latents)
 
-    def update(self, v, sets):
-        sums = [edge_sums(mlp, v, edges) for mlp, edges in zip(self.edges, sets)]
-        return v + self.nodes.after_first(self.nodes.split(v, *sums))
+    def update(self, v, sets, latents):
+        old = latents or [None] * len(sets)
+        pairs = [edge_sums(mlp, v, *own, self.keep) for mlp, *own in zip(self.edges, sets, old)]
+        v = v + self.nodes.after_first(self.nodes.split(v, *(sums for sums, _ in pairs)))
+        return v, [new for _, new in pairs] if self.keep else None
+
+
+def edge_encoders(latent, widths):
+    """Networks that make latents of the offsets of each edge set."""
+    return nn.ModuleList(MLP(k, latent, latent) for k in widths)
+
+
+def encoded(encoders, sets):
+    """Latents (E, latent) of the edges of each EdgeSet, from their offsets."""
+    return [mlp(edges.offsets) for mlp, edges in zip(encoders, sets)]
+
+
+def in_turn(passings, v, sets, latents=None):
+    """Latents of nodes and of edges, None without, after some message passings along the same edges."""
+    for passing in passings:
+        v, latents = passing(v, sets, latents)
+    return v, latents

@@ -33,7 +33,7 @@ class Predictor(torch.nn.Module):
         own = {}
         if config.model == "bsms":
             own = {"transition": config.transition, "checkpointing": config.checkpointing}
-            own["repeats"] = config.repeats
+            own |= {"repeats": config.repeats, "edge_latents": config.edge_latents}
         elif config.model == "meshgraphnets":
             own = {"steps": config.steps_flat}
         options = {"latent": config.latent, "contact": config.contact_radius > 0}
@@ -55,7 +55,7 @@ class Predictor(torch.nn.Module):
         """Sum of the squared errors of the normalised output where it is learned, and how many these are."""
         target = (sample.target - self.mean_out) / self.deviation_out
         error = (self(sample.batch, sample.state, sample.motion) - target)[sample.learned]
-        return (error**2).sum(), error.numel()
+        return (sample.weight[sample.learned, None] * error**2).sum(), error.numel()
 
     def step(self, batch, state, motion=None):
         """The next state (N, c) and the direct fields (N, o - c)."""

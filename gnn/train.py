@@ -17,11 +17,20 @@ import torch.distributed as dist
 from .optimizers import learning_rate, make_optimizers
 from .predictor import from_description, make_predictor
 from .rollout import evaluate
-from .samples import Meshes, count_frames, find_trajectories, join_samples, make_sample, mean_edge_length
+from .samples import (
+    Meshes,
+    count_frames,
+    drawn,
+    find_trajectories,
+    importance,
+    join_samples,
+    make_sample,
+    mean_edge_length,
+)
 
 # settings that a checkpoint and the training that goes on from it have in common
 SAME = ("model", "latent", "depth", "steps_flat", "repeats", "transition", "contact_radius", "optimizer")
-SAME += ("fields", "direct", "position", "predicted", "moving")
+SAME += ("fields", "direct", "position", "predicted", "moving", "edge_latents")
 
 
 class BadCheckpoint(ValueError):
@@ -62,6 +71,8 @@ class Training:
         self.frames = count_frames(self.meshes)
         self.predictor = make_predictor(config, self.meshes).to(self.device)
         self.predictor.fit_normalisation(self.meshes, self.frames)
+        scale = self.predictor.mean_out.cpu().numpy(), self.predictor.deviation_out.cpu().numpy()
+        self.shares = importance(self.meshes, *scale)
         self.terms = Terms(self.predictor)
         if self.size > 1:
             self.terms = torch.nn.parallel.DistributedDataParallel(self.terms)
@@ -149,11 +160,14 @@ class Training:
         """A sample by its number: order and noise depend on it and the seed only, whoever draws it."""
         epoch, place = divmod(number, len(self.frames))
         if self.order[0] != epoch:
-            self.order = epoch, np.random.default_rng([self.config.seed, epoch]).permutation(len(self.frames))
+            rng = np.random.default_rng([self.config.seed, epoch])
+            self.order = epoch, rng.permutation(drawn(self.shares, rng.random()))
         chosen = int(self.order[1][place])
         i, k = self.frames[chosen]
-        noise = np.random.default_rng([self.config.seed, epoch, chosen])
-        return make_sample(self.meshes, int(i), int(k), noise)
+        noise = np.random.default_rng([self.config.seed, epoch, place])
+        sample = make_sample(self.meshes, int(i), int(k), noise)
+        sample.weight /= np.float32(len(self.frames) * self.shares[chosen])
+        return sample
 
     def look(self):
         """Errors of a rollout of the first trajectory that is held out."""

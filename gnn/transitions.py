@@ -94,15 +94,15 @@ class Transition(nn.Module):
         super().__init__()
         if kind not in TABLES:
             raise ValueError(f"transition {kind!r}: there are {', '.join(TABLES)}")
-        own = (latent, widths, checkpointing)
+        own = latent, widths, False, checkpointing
         self.passing = MessagePassing(*own) if kind == "learnable" else None
 
     def down(self, v, table, sets):
         """Latents on the coarser level; sets are the edges of the finer one, table None keeps all nodes."""
-        v = v if self.passing is None else self.passing(v, sets)
+        v = v if self.passing is None else self.passing(v, sets)[0]
         return v if table is None else table.down(v)
 
     def up(self, v, table, sets):
         """Latents on the finer level."""
         v = v if table is None else table.up(v)
-        return v if self.passing is None else self.passing(v, sets)
+        return v if self.passing is None else self.passing(v, sets)[0]

@@ -93,7 +93,7 @@ def test_split_first_layer_is_the_whole_network():
     mlp = MessagePassing(32, (3,)).edges[0]
     rows = torch.cat([edges.offsets, v[level.receivers], v[level.senders]], dim=1)
     whole = torch.stack([mlp(rows[level.receivers == i]).sum(0) for i in range(len(v))])
-    assert_close(edge_sums(mlp, v, edges), whole, 1e-5)
+    assert_close(edge_sums(mlp, v, edges)[0], whole, 1e-5)
     with pytest.raises(ValueError, match=f"features of 3 nodes for a graph of {len(v)}"):
         edge_sums(mlp, v[:3], edges)
     parts = v[:, :10], v[:, 10:15], v[:, 15:]
@@ -113,9 +113,11 @@ def test_gradients_of_the_edge_sum(monkeypatch):
     senders, receivers = torch.tensor([[2, 0, 3, 1, 0, 1, 2, 4, 0, 3], [1, 1, 1, 2, 2, 3, 3, 3, 3, 3]])
     edges = edge_set(senders, receivers, torch.rand(5, 2, dtype=torch.float64))
     assert len(edges.chunks) > 1
-    shapes = (5, 4), (5, 4), (4, 3), (4, 4), (4,), (6, 4), (6,)
+    shapes = (10, 3), (5, 4), (5, 4), (4, 3), (4, 4), (4,), (3, 4), (3,)
     inputs = [torch.randn(s, dtype=torch.float64, requires_grad=True) for s in shapes]
-    assert torch.autograd.gradcheck(lambda *x: EdgeSum.apply(edges, True, *x), inputs)
+    assert torch.autograd.gradcheck(lambda *x: EdgeSum.apply(edges, True, False, *x)[0], inputs)
+    assert torch.autograd.gradcheck(lambda *x: EdgeSum.apply(edges, True, True, *x), inputs)
+    assert torch.autograd.gradcheck(lambda *x: EdgeSum.apply(edges, True, True, *x)[1], inputs)
 
 
 def test_fused_and_plain_sums_agree(monkeypatch):
@@ -127,7 +129,7 @@ def test_fused_and_plain_sums_agree(monkeypatch):
     with torch.no_grad():
         assert_close(model(batch, x), fused[0])
         assert torch.isnan(model(batch, torch.full_like(x, torch.nan))).all()
-    monkeypatch.setattr(message_passing, "fused", lambda v, edges: False)
+    monkeypatch.setattr(message_passing, "fused", lambda v: False)
     for a, b in zip(fused, gradients(model, batch, x)):
         assert_close(a, b, 5 * ROUND)
 
