@@ -17,7 +17,7 @@ from gnn.config import Config, preset
 from gnn.graph import HANDLE, NORMAL, OBSTACLE, WALL, from_cells
 from gnn.optimizers import Muon, learning_rate, orthogonal
 from gnn.rollout import evaluate, rollout, write_rollout
-from gnn.samples import Meshes, find_trajectories, make_sample
+from gnn.samples import Meshes, drawn, find_trajectories, make_sample
 from gnn.train import BadCheckpoint, Training, load_predictor, read_checkpoint, train
 from gnn.trajectory import Trajectory, write_trajectory
 
@@ -77,6 +77,31 @@ def test_normalisation(tmp_path):
     ).astype(float)
     np.testing.assert_allclose(training.predictor.mean_in, states.mean(axis=0), atol=1e-6)
     np.testing.assert_allclose(training.predictor.deviation_in, states.std(axis=0), rtol=1e-5)
+
+
+def test_drawing_by_size_leaves_the_mean_loss_and_scatters_less(tmp_path):
+    """Weighted losses of what 200 epochs draw, against the mean over all samples, to four standard errors.
+
+    A network that says "nothing changes" is off by the targets, which fall by DECAY from frame to frame.
+    """
+    training = Training(config(decaying(tmp_path, frames=20), noise=(1e-3,)), tmp_path / "out")
+    shares, rng = training.shares, np.random.default_rng(0)
+    mean, deviation = (getattr(training.predictor, f"{name}_out") for name in ("mean", "deviation"))
+
+    def loss(i, k):
+        sample = make_sample(training.meshes, int(i), int(k))
+        return (((sample.target - mean) / deviation)[sample.learned] ** 2).mean().item()
+
+    losses = np.array([loss(i, k) for i, k in training.frames])
+    weighted = losses / (len(losses) * shares)
+    epochs = np.array([drawn(shares, rng.random()) for _ in range(200)])
+    assert epochs.shape[1] == len(losses)
+    found = weighted[epochs].mean(axis=1)
+    assert abs(found.mean() - losses.mean()) < 4 * found.std() / np.sqrt(len(epochs))
+    scatter = np.sqrt(np.sum(shares * (weighted - losses.mean()) ** 2))
+    assert scatter < 0.7 * losses.std()  # by the square root of losses alone, without a least share: 0.64
+    chosen = training.sample(5)
+    assert chosen.weight.unique().numel() == 1 and 0 < chosen.weight[0] < 11
 
 
 def test_training_learns_a_decay(tmp_path):
@@ -262,7 +287,7 @@ def test_bad_input(tmp_path):
 
 
 def test_memory_is_kept():
-    """Arrays of 64 MB after each other: pages, 16,384 each, are mapped for the first few, not after twenty."""
+    """Arrays of 64 MB after each other: pages, 16,384 each, are mapped for the first few only."""
     program = (
         "import resource, torch; from gnn.train import keep_memory; keep_memory()\n"
         "faults = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
