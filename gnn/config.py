@@ -34,6 +34,7 @@ class Config:
     look_every, look_steps : how often to roll a held-out trajectory out, and how far
     save_minutes : between checkpoints
     checkpointing : activations are computed again instead of stored, for big meshes; "bsms" only
+    compile : whether torch compiles the network, which takes it a minute or two
     """
 
     data: str = "results/cylinder"
@@ -68,6 +69,7 @@ class Config:
     look_steps: int = 50
     save_minutes: float = 5.0
     checkpointing: bool = False
+    compile: bool = False
 
     def __post_init__(self):
         state = (self.position,) if self.position else self.fields

@@ -71,6 +71,8 @@ class Training:
         self.frames = count_frames(self.meshes)
         self.predictor = make_predictor(config, self.meshes).to(self.device)
         self.predictor.fit_normalisation(self.meshes, self.frames)
+        if config.compile:
+            self.predictor.model.compile(dynamic=True)
         scale = self.predictor.mean_out.cpu().numpy(), self.predictor.deviation_out.cpu().numpy()
         self.shares = importance(self.meshes, *scale)
         self.terms = Terms(self.predictor)

@@ -120,6 +120,23 @@ def test_training_learns_a_decay(tmp_path):
     assert np.mean([r["loss"] for r in rows[-20:]]) < 0.1 * np.mean([r["loss"] for r in rows[:20]])
 
 
+def test_compiled_training_is_the_same(tmp_path, monkeypatch):
+    """A training step through torch.compile, which traces meshes of any size as one graph: to rounding.
+
+    Without the last stage of the compiler, which takes a minute.
+    """
+    compiled = torch.nn.Module.compile
+    traced = {"backend": "aot_eager", "fullgraph": True}
+    monkeypatch.setattr(torch.nn.Module, "compile", lambda self, **own: compiled(self, **own, **traced))
+    data, losses = decaying(tmp_path), []
+    for choice in (False, True):
+        training = Training(config(data, depth=1, compile=choice), tmp_path / "out")
+        losses.append([training.train_step(0.5) for _ in range(3)])
+    np.testing.assert_allclose(*losses, rtol=1e-3)
+    counts = torch._dynamo.utils.counters
+    assert counts["stats"]["unique_graphs"] == 1 and not counts["graph_break"]
+
+
 def test_resumed_training_is_the_same(tmp_path):
     """Stopped after 6 of 12 steps and gone on with: the same parameters, bit by bit."""
     c = config(decaying(tmp_path), steps=12)
