@@ -15,10 +15,10 @@ from gnn.rollout import evaluate, predicted_fields, rollout, write_rollout
 from gnn.samples import Meshes, find_trajectories
 from gnn.train import train
 
-KINDS = {  # trajectories, their size, how many of them nobody trains on, and the settings of the training
-    "tiny": (24, "mini", 4, {"latent": 64, "depth": 4, "minutes": 7.0, "noise": (0.003,), "batch": 2}),
-    "mini": (50, "mini", 8, {"latent": 64, "depth": 4, "minutes": 60.0, "noise": (0.003,), "batch": 2}),
-    "full": (1200, "paper", 200, {"minutes": 1440.0, "batch": 32, "last_rate": 1e-6}),
+KINDS = {  # trajectories, their size, how many of them nobody trains on, preset and settings of the training
+    "tiny": (24, "mini", 4, "cylinder_mini", {"minutes": 7.0}),
+    "mini": (50, "mini", 8, "cylinder_mini", {"minutes": 60.0}),
+    "full": (1200, "paper", 200, "cylinder", {"minutes": 1440.0, "batch": 32, "last_rate": 1e-6}),
 }
 
 
@@ -31,14 +31,14 @@ def main(argv=None):
     parser.add_argument("--jobs", type=int, default=2, help="processes that make data (default: %(default)s)")
     parser.add_argument("--output", default="results/gnn_cylinder", help="folder of all files")
     args = parser.parse_args(argv)
-    trajectories, size, held_out, settings = KINDS[args.kind]
+    trajectories, size, held_out, name, settings = KINDS[args.kind]
     settings = settings | ({} if args.minutes is None else {"minutes": args.minutes})
     data, out = Path(args.output) / f"data_{args.kind}", Path(args.output) / args.kind
     options = {"trajectories": trajectories, "size": size, "jobs": args.jobs, "out": data}
     dataset_cylinder.main([f"--{name}={value}" for name, value in options.items()])
     if args.kind == "tiny":
         torch.set_num_threads(1)  # faster on small meshes
-    config = preset("cylinder", data=str(data), held_out=held_out, look_every=10**9, **settings)
+    config = preset(name, data=str(data), held_out=held_out, look_every=10**9, **settings)
     predictor = train(config, out)
     unseen = Meshes(find_trajectories(data)[-held_out:], config, predictor.length)
     found = evaluate(predictor, unseen, every=10)

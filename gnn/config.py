@@ -92,6 +92,18 @@ class Config:
 
 PRESETS = {
     "cylinder": {"mirror": (1,)},
+    # for sets of --size mini and an hour on a processor
+    "cylinder_mini": {
+        "noise": (0.003,),
+        "mirror": (1,),
+        "latent": 64,
+        "depth": 4,
+        "repeats": 2,
+        "edge_latents": True,
+        "batch": 2,
+        "rate": 2e-3,
+        "held_out": 8,
+    },
     "airfoil": {
         "fields": ("density", "velocity"),
         "direct": ("pressure",),

@@ -43,9 +43,7 @@ def test_cylinder(tmp_path, monkeypatch, capsys):
     import demo_gnn_cylinder as demo
 
     monkeypatch.setitem(dataset_cylinder.SIZES, "mini", (0.04, 0.1, 6))
-    monkeypatch.setitem(
-        demo.KINDS, "tiny", (3, "mini", 1, {"latent": 8, "depth": 2, "noise": (0.003,), "batch": 2})
-    )
+    monkeypatch.setitem(demo.KINDS, "tiny", (3, "mini", 1, "cylinder_mini", {"latent": 8, "depth": 2}))
     found = demo.main(["--minutes", "0.05", "--jobs", "1", "--output", str(tmp_path)])
     assert np.isfinite([found["rmse_1"], found["rmse_all"]]).all()
     with meshio.xdmf.TimeSeriesReader(tmp_path / "tiny/rollout.xdmf") as reader:

@@ -13,14 +13,6 @@ ROOT = Path(__file__).parents[2]
 ARCHITECTURES = ("bsms", "meshgraphnets", "ms_gnn_grid", "graph_unets")
 TRANSITIONS = ("contribution", "none", "graph_conv", "position_kernel", "learnable")
 HELD_OUT = 8  # trajectories with cylinders that no training sees
-SETTINGS = {
-    "latent": 64,
-    "depth": 4,
-    "batch": 2,
-    "held_out": HELD_OUT,
-    "noise": (0.003,),
-    "look_every": 10**9,
-}
 
 
 def make_data(folder, trajectories, *more):
@@ -32,7 +24,8 @@ def make_data(folder, trajectories, *more):
 
 def trained(folder, out, minutes, **changes):
     """Train in a process of its own, for a time, and return the row of a table."""
-    options = {**SETTINGS, "data": str(folder), "minutes": minutes, **changes}
+    own = {"data": str(folder), "minutes": minutes, "held_out": HELD_OUT, "look_every": 10**9}
+    options = own | changes
     return own_process(__name__, options, str(out))
 
 
@@ -42,7 +35,7 @@ def worker(options, out):
     from gnn.rollout import evaluate
     from gnn.train import Training
 
-    training = Training(preset("cylinder", **options | {"noise": tuple(options["noise"])}), out)
+    training = Training(preset("cylinder_mini", **options), out)
     training.load()
     predictor = training.run().eval()
     found = evaluate(predictor, training.held_out, every=10)
