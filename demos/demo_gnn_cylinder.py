@@ -31,14 +31,14 @@ def main(argv=None):
     parser.add_argument("--jobs", type=int, default=2, help="processes that make data (default: %(default)s)")
     parser.add_argument("--output", default="results/gnn_cylinder", help="folder of all files")
     args = parser.parse_args(argv)
-    trajectories, size, held_out, name, settings = KINDS[args.kind]
+    trajectories, size, held_out, base, settings = KINDS[args.kind]
     settings = settings | ({} if args.minutes is None else {"minutes": args.minutes})
     data, out = Path(args.output) / f"data_{args.kind}", Path(args.output) / args.kind
     options = {"trajectories": trajectories, "size": size, "jobs": args.jobs, "out": data}
     dataset_cylinder.main([f"--{name}={value}" for name, value in options.items()])
     if args.kind == "tiny":
         torch.set_num_threads(1)  # faster on small meshes
-    config = preset(name, data=str(data), held_out=held_out, look_every=10**9, **settings)
+    config = preset(base, data=str(data), held_out=held_out, look_every=10**9, **settings)
     predictor = train(config, out)
     unseen = Meshes(find_trajectories(data)[-held_out:], config, predictor.length)
     found = evaluate(predictor, unseen, every=10)

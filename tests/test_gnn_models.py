@@ -106,6 +106,23 @@ def test_split_first_layer_is_the_whole_network():
     assert_close(nodes.after_first(nodes.split(*parts)), nodes(v), 1e-5)
 
 
+@pytest.mark.parametrize("fused", [True, False])
+def test_messages_stay_on_the_edges(fused, monkeypatch):
+    """Pfaff et al. 2020: e' = e + mlp([e, v_i, v_j]), terms of a sum; without e yet, they alone."""
+    batch = batch_of(mesh())
+    v, level = features_of(batch, 32), batch.levels[0]
+    edges = edge_set(level.senders, level.receivers, batch.material)
+    if not fused:
+        monkeypatch.setattr(message_passing, "fused", lambda v: False)
+    for width, latents in (3, None), (32, torch.randn(len(level.senders), 32)):
+        mlp = MessagePassing(32, (width,)).edges[0]
+        own = edges.offsets if latents is None else latents
+        terms = mlp(torch.cat([own, v[level.receivers], v[level.senders]], dim=1))
+        sums, kept = edge_sums(mlp, v, edges, latents, keep=True)
+        assert_close(kept, terms if latents is None else latents + terms, 1e-5)
+        assert_close(sums, torch.zeros_like(v).index_add_(0, level.receivers, terms), 1e-5)
+
+
 def test_offsets_point_to_the_sender():
     x = torch.tensor([[0.0, 0.0], [3.0, 4.0]])
     edges = edge_set(torch.tensor([1]), torch.tensor([0]), x)
