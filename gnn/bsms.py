@@ -29,6 +29,8 @@ class BSMS(nn.Module):
     transition : between levels, one of `transitions.TABLES`
     repeats : message passings on the finest level, each way, and on the coarsest one
     edge_latents : whether edges have latents too, which stay on their level from the way down to the way up
+    early_skip : whether latents of the way down are added before the message passings on the way up, which
+        then work on all that a level knows; or after them, as published
     checkpointing : activations are computed again instead of stored, for big meshes
     """
 
@@ -44,10 +46,11 @@ class BSMS(nn.Module):
         transition="contribution",
         repeats=1,
         edge_latents=False,
+        early_skip=False,
         checkpointing=False,
     ):
         super().__init__()
-        self.depth, self.contact, self.world = depth, contact, world
+        self.depth, self.contact, self.world, self.early_skip = depth, contact, world, early_skip
         widths = offset_widths(dim, contact, world)
         on_edges = [latent] * len(widths) if edge_latents else widths
 
@@ -84,8 +87,9 @@ class BSMS(nn.Module):
         v, _ = in_turn(self.bottom, v, sets[-1], latents[-1])
         for l in reversed(range(self.depth)):
             v = self.unpool[l].up(v, tables[l], sets[l])
+            v = v + skips[l] if self.early_skip else v
             v, _ = in_turn(self.up[l], v, sets[l], latents[l])
-            v = skips[l] + v
+            v = v if self.early_skip else v + skips[l]
         return self.decoder(v)
 
     def geometry(self, batch):

@@ -23,7 +23,7 @@ DEPTH = 3
 # grids so fine that the last one of a small mesh has edges too
 CASES = [(name, {"dx": 1.0} if name == "ms_gnn_grid" else {}) for name in MODELS]
 CASES += [("bsms", {"transition": t}) for t in TABLES if t != "contribution"]
-CASES += [("bsms", {"edge_latents": True, "repeats": 2})]
+CASES += [("bsms", {"edge_latents": True, "repeats": 2, "early_skip": True})]
 LABELS = [" ".join([n, *map(str, o.values())]) for n, o in CASES]
 
 
@@ -297,6 +297,25 @@ def test_repeats():
     assert sizes[1] == sizes[0] + 3 * sizes[2]
     twice(batch, features_of(batch)).square().sum().backward()
     assert all(p.grad is not None and p.grad.abs().max() > 0 for p in twice.parameters())
+
+
+@pytest.mark.parametrize("early", [False, True])
+def test_where_the_skip_is_added(early):
+    """What the first message passing on the way up and the decoder are given, from what the others return."""
+    batch, model = batch_of(mesh(), depth=1), model_of("bsms", depth=1, early_skip=early)
+    given, returned = {}, {}
+    parts = {"down": model.down[0][0], "bottom": model.bottom[0], "up": model.up[0][0], "out": model.decoder}
+    for name, part in parts.items():
+
+        def note(_, args, result, name=name):
+            given[name], returned[name] = args[0], result[0]
+
+        part.register_forward_hook(note)
+    model(batch, features_of(batch))
+    level, skip = batch.levels[0], returned["down"]
+    below = TABLES["contribution"](level, batch.material).up(returned["bottom"])
+    assert torch.equal(given["up"], below + skip if early else below)
+    assert torch.equal(given["out"], returned["up"] if early else returned["up"] + skip)
 
 
 def test_autocast():
