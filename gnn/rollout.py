@@ -75,10 +75,10 @@ def evaluate(predictor, meshes, steps=None, start=0, only=None, every=1, boundar
     dict
         rmse_1 : of a single step from true states, over all frames
         rmse_50, rmse_all : of the rollout, over its first 50 steps (or all, if it has fewer) and over all
-        rmse_at_50, rmse_last : at the ends of these; rmse_<name> : of a direct field, in single steps;
+        rmse_at_50, rmse_last : at the ends of these; rmse_<name> : of a field alone, in single steps;
         persistence_* of the same; seconds : for a step
     """
-    kinds = ("1", "50", "all", "at_50", "last")
+    kinds, names = ("1", "50", "all", "at_50", "last"), (*predictor.config.state, *predictor.config.direct)
     squares = {f"{who}_{kind}": [] for who in ("rmse", "persistence") for kind in kinds}
     seconds = []
     for i in range(len(meshes)) if only is None else only:
@@ -97,10 +97,11 @@ def evaluate(predictor, meshes, steps=None, start=0, only=None, every=1, boundar
             after = meshes.state(i, k + 1)[learned]
             squares["rmse_1"].append(rmse(one[1][learned], after) ** 2)
             squares["persistence_1"].append(rmse(one[0][learned], after) ** 2)
-            for name, own in columns(trajectory, predictor.config.direct):
-                before, after = (stack(trajectory, [name], j)[learned] for j in (k, k + 1))
-                for who, guess in (("rmse", direct[0][learned][:, own]), ("persistence", before)):
-                    squares.setdefault(f"{who}_{name}", []).append(rmse(guess, after) ** 2)
+            found = np.concatenate([one[1], direct[0]], axis=1)[learned]
+            before, after = (stack(trajectory, names, j)[learned] for j in (k, k + 1))
+            for name, own in columns(trajectory, names):
+                for who, guess in (("rmse", found), ("persistence", before)):
+                    squares.setdefault(f"{who}_{name}", []).append(rmse(guess[:, own], after[:, own]) ** 2)
     return {name: float(np.sqrt(np.mean(v))) for name, v in squares.items()} | {
         "seconds": float(np.mean(seconds))
     }

@@ -13,18 +13,19 @@ ROOT = Path(__file__).parents[2]
 ARCHITECTURES = ("bsms", "meshgraphnets", "ms_gnn_grid", "graph_unets")
 TRANSITIONS = ("contribution", "none", "graph_conv", "position_kernel", "learnable")
 HELD_OUT = 8  # trajectories with cylinders that no training sees
+OTHER_SETS = {"airfoil": 20, "plate": 8, "font": 50}  # trajectories
 
 
-def make_data(folder, trajectories, *more):
-    """The mini set of cylinder flows, made where it is not there yet."""
-    script = ROOT / "demos/dataset_cylinder.py"
+def make_data(folder, trajectories, *more, kind="cylinder"):
+    """The mini set of cylinder flows, or another kind, made where it is not there yet."""
+    script = ROOT / f"demos/dataset_{kind}.py"
     options = ["--trajectories", str(trajectories), "--out", str(folder), "--jobs", "2", *more]
     subprocess.run([sys.executable, str(script), *options], check=True, cwd=ROOT)
 
 
 def trained(folder, out, minutes, **changes):
     """Train in a process of its own, for a time, and return the row of a table."""
-    own = {"data": str(folder), "minutes": minutes, "held_out": HELD_OUT, "look_every": 10**9}
+    own = {"data": str(folder), "minutes": minutes, "look_every": 10**9}
     options = own | changes
     return own_process(__name__, options, str(out))
 
@@ -35,7 +36,7 @@ def worker(options, out):
     from gnn.rollout import evaluate
     from gnn.train import Training
 
-    training = Training(preset("cylinder_mini", **options), out)
+    training = Training(preset(options.pop("preset", "cylinder_mini"), **options), out)
     training.load()
     predictor = training.run().eval()
     found = evaluate(predictor, training.held_out, every=10)
@@ -63,6 +64,20 @@ def transitions(folder, out, minutes, first):
     for name in TRANSITIONS[1:]:
         place = Path(out) / f"transition_{name}"
         rows.append({"transition": name} | trained(folder, place, minutes, transition=name))
+    return rows
+
+
+def other_sets(folder, out, minutes):
+    """A row for each error on aerofoils, plates and letters that were not trained on, beside persistence."""
+    rows = []
+    for kind, trajectories in OTHER_SETS.items():
+        data = folder / kind
+        make_data(data, trajectories, kind=kind)
+        found = trained(data, Path(out) / kind, minutes, preset=f"{kind}_mini")
+        for name in (k for k in found if k.startswith("rmse_")):
+            other = found[name.replace("rmse", "persistence")]
+            row = {"set": kind, "error": name, "network": found[name], "persistence": other}
+            rows.append(row | {"ratio": other / found[name]})
     return rows
 
 

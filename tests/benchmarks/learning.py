@@ -22,5 +22,7 @@ def gnn_benchmarks(folder, quick, table, write_csv):
     show("models", f"after {minutes} minutes (table 4.5)", models)
     transitions = accuracy.transitions(data, out, minutes, models[0])
     show("transitions", f"after {minutes} minutes (table 4.7)", transitions)
+    if not quick:
+        show("others", f"other sets after {minutes} minutes", accuracy.other_sets(folder, out, minutes))
     show("larger", "on finer meshes than those of the training", accuracy.larger_meshes(data, out))
     show("seeds", "other seeds than in the training (table 4.8)", accuracy.seeding(data, out))
