@@ -94,13 +94,13 @@ def evaluate(predictor, meshes, steps=None, start=0, only=None, every=1, boundar
                 squares[f"{who}_{kind}"].append(rmse(guess[part], truth[part]) ** 2)
         for k in range(start, len(trajectory) - 1, every):
             one, direct, _ = rollout(predictor, meshes, i, 1, k, boundary)
-            after = meshes.state(i, k + 1)[learned]
-            squares["rmse_1"].append(rmse(one[1][learned], after) ** 2)
-            squares["persistence_1"].append(rmse(one[0][learned], after) ** 2)
-            found = np.concatenate([one[1], direct[0]], axis=1)[learned]
+            single = np.concatenate([one[1], direct[0]], axis=1)[learned]
             before, after = (stack(trajectory, names, j)[learned] for j in (k, k + 1))
+            state = slice(one.shape[2])
+            squares["rmse_1"].append(rmse(single[:, state], after[:, state]) ** 2)
+            squares["persistence_1"].append(rmse(before[:, state], after[:, state]) ** 2)
             for name, own in columns(trajectory, names):
-                for who, guess in (("rmse", found), ("persistence", before)):
+                for who, guess in (("rmse", single), ("persistence", before)):
                     squares.setdefault(f"{who}_{name}", []).append(rmse(guess[:, own], after[:, own]) ** 2)
     return {name: float(np.sqrt(np.mean(v))) for name, v in squares.items()} | {
         "seconds": float(np.mean(seconds))

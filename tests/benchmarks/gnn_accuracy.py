@@ -7,12 +7,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+from gnn.config import PRESETS
+
 from .gnn_models import own_process
 
 ROOT = Path(__file__).parents[2]
 ARCHITECTURES = ("bsms", "meshgraphnets", "ms_gnn_grid", "graph_unets")
 TRANSITIONS = ("contribution", "none", "graph_conv", "position_kernel", "learnable")
-HELD_OUT = 8  # trajectories with cylinders that no training sees
+HELD_OUT = PRESETS["cylinder_mini"]["held_out"]  # trajectories with cylinders that no training sees
 OTHER_SETS = {"airfoil": 20, "plate": 8, "font": 50}  # trajectories
 
 
