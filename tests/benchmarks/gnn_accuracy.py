@@ -1,20 +1,20 @@
 """Networks trained on cylinder flows: architectures, transitions, seeds (thesis tables 4.5, 4.7, 4.8)."""
 
 import json
+import os
 import resource
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
-
-from gnn.config import PRESETS
 
 from .gnn_models import own_process
 
 ROOT = Path(__file__).parents[2]
 ARCHITECTURES = ("bsms", "meshgraphnets", "ms_gnn_grid", "graph_unets")
 TRANSITIONS = ("contribution", "none", "graph_conv", "position_kernel", "learnable")
-HELD_OUT = PRESETS["cylinder_mini"]["held_out"]  # trajectories with cylinders that no training sees
 OTHER_SETS = {"airfoil": 20, "plate": 8, "font": 50}  # trajectories
 
 
@@ -26,7 +26,10 @@ def make_data(folder, trajectories, *more, kind="cylinder"):
 
 
 def trained(folder, out, minutes, **changes):
-    """Train in a process of its own, for a time, and return the row of a table."""
+    """Train in a process of its own, for a time, and return the row of a table.
+
+    Errors are of the trajectories in the folder `test`, without it of those that the training has held out.
+    """
     own = {"data": str(folder), "minutes": minutes, "look_every": 10**9}
     options = own | changes
     return own_process(__name__, options, str(out))
@@ -36,12 +39,17 @@ def worker(options, out):
     """Train and evaluate; prints the row."""
     from gnn.config import preset
     from gnn.rollout import evaluate
+    from gnn.samples import Meshes, find_trajectories
     from gnn.train import Training
 
+    test = options.pop("test", None)
     training = Training(preset(options.pop("preset", "cylinder_mini"), **options), out)
     training.load()
     predictor = training.run().eval()
-    found = evaluate(predictor, training.held_out, every=10)
+    unseen = training.held_out
+    if test:
+        unseen = Meshes(find_trajectories(test), predictor.config, predictor.length)
+    found = evaluate(predictor, unseen, every=10)
     row = {"parameters": sum(p.numel() for p in predictor.parameters()), "steps": training.step}
     row["ms_per_step"] = 1e3 * training.seconds / max(training.step, 1)
     row["infer_ms"] = 1e3 * found.pop("seconds")
@@ -49,33 +57,46 @@ def worker(options, out):
     print(json.dumps(row | found))
 
 
-def architectures(folder, out, minutes):
-    """A row for each architecture after the same time of training; speed-up: of a frame over the solver."""
+def in_parallel(function, calls):
+    """What a function returns for each dict of arguments, with as many calls at once as there are cores."""
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        return list(pool.map(lambda own: function(**own), calls))
+
+
+def architectures(folder, test, out, minutes, seeds):
+    """A row for each architecture and seed after the same time of training, on one core each."""
     shutil.rmtree(out, ignore_errors=True)  # what an earlier run has trained
-    rows, solver = [], solver_ms(folder)
+    labels = [{"model": name, "seed": seed} for seed in seeds for name in ARCHITECTURES]
+    calls = [{"out": Path(out) / f"{m['model']}_{m['seed']}"} | m for m in labels]
+    found = in_parallel(partial(trained, folder, minutes=minutes, test=str(test)), calls)
+    return [label | row for label, row in zip(labels, found)]
+
+
+def means(rows, test):
+    """A row for each architecture, of means over its seeds; speed-up: of a frame over the solver."""
+    solver, found = solver_ms(test), []
     for name in ARCHITECTURES:
-        row = {"model": name} | trained(folder, Path(out) / name, minutes, model=name)
-        rows.append(row | {"speed-up": solver / row["infer_ms"]})
-    return rows
+        own = [row for row in rows if row["model"] == name]
+        row = {k: sum(r[k] for r in own) / len(own) for k in own[0] if k not in ("model", "seed")}
+        found.append({"model": name, "trainings": len(own)} | row | {"speed-up": solver / row["infer_ms"]})
+    return found
 
 
-def transitions(folder, out, minutes, first):
+def transitions(folder, test, out, minutes, first):
     """A row for each transition between levels (table 4.7); the first one is that of `architectures`."""
-    kept = {k: v for k, v in first.items() if k not in ("model", "speed-up")}
-    rows = [{"transition": TRANSITIONS[0]} | kept]
-    for name in TRANSITIONS[1:]:
-        place = Path(out) / f"transition_{name}"
-        rows.append({"transition": name} | trained(folder, place, minutes, transition=name))
-    return rows
+    calls = [{"out": Path(out) / f"transition_{name}", "transition": name} for name in TRANSITIONS[1:]]
+    found = in_parallel(partial(trained, folder, minutes=minutes, test=str(test)), calls)
+    first = {k: v for k, v in first.items() if k not in ("model", "seed")}
+    return [{"transition": name} | row for name, row in zip(TRANSITIONS, [first, *found])]
 
 
 def other_sets(folder, out, minutes):
     """A row for each error on aerofoils, plates and letters that were not trained on, beside persistence."""
-    rows = []
+    calls, rows = [], []
     for kind, trajectories in OTHER_SETS.items():
-        data = folder / kind
-        make_data(data, trajectories, kind=kind)
-        found = trained(data, Path(out) / kind, minutes, preset=f"{kind}_mini")
+        make_data(folder / kind, trajectories, kind=kind)
+        calls.append({"folder": folder / kind, "out": Path(out) / kind, "preset": f"{kind}_mini"})
+    for kind, found in zip(OTHER_SETS, in_parallel(partial(trained, minutes=minutes), calls)):
         for name in (k for k in found if k.startswith("rmse_")):
             other = found[name.replace("rmse", "persistence")]
             row = {"set": kind, "error": name, "network": found[name], "persistence": other}
@@ -84,7 +105,7 @@ def other_sets(folder, out, minutes):
 
 
 def solver_ms(folder, frames=10):
-    """CPU milliseconds in which the solver that made the data takes a frame of the unseen flows."""
+    """CPU milliseconds in which the solver that made the flows of a folder takes a frame of them."""
     sys.path.insert(0, str(ROOT / "demos"))
     import time
 
@@ -94,7 +115,7 @@ def solver_ms(folder, frames=10):
     from gnn.samples import find_trajectories
 
     seconds = []
-    for path in find_trajectories(folder)[-HELD_OUT:]:
+    for path in find_trajectories(folder):
         with h5py.File(path.with_suffix(".h5"), "r") as h5:
             about = dict(h5.attrs)
         steps, (mesh, facets, _) = about["steps_per_frame"], data.mesh_past("mini", about)
@@ -106,17 +127,17 @@ def solver_ms(folder, frames=10):
     return 1e3 * sum(seconds) / len(seconds)
 
 
-def larger_meshes(folder, out):
+def larger_meshes(test, out):
     """Errors of the trained network on its own size of mesh and on one five times as fine."""
     from gnn.rollout import evaluate
     from gnn.samples import Meshes, find_trajectories
     from gnn.train import load_predictor
 
-    predictor, rows = load_predictor(Path(out) / "bsms"), []
-    large = folder.parent / "cylinder_large"
+    predictor, rows = load_predictor(Path(out) / "bsms_0"), []
+    large = test.parent / "cylinder_large"
     make_data(large, 2, "--size", "large", "--seed", "1")
     for name, paths in (
-        ("mini", find_trajectories(folder)[-HELD_OUT:]),
+        ("mini", find_trajectories(test)),
         ("large", find_trajectories(large)),
     ):
         meshes = Meshes(paths, predictor.config, predictor.length)
@@ -128,7 +149,7 @@ def larger_meshes(folder, out):
     return rows
 
 
-def seeding(folder, out):
+def seeding(test, out):
     """Errors with other seeds than those of the training, over those with the same (table 4.8)."""
     import dataclasses
 
@@ -136,8 +157,8 @@ def seeding(folder, out):
     from gnn.samples import Meshes, find_trajectories
     from gnn.train import load_predictor
 
-    predictor = load_predictor(Path(out) / "bsms")
-    paths, found = find_trajectories(folder)[-HELD_OUT:], {}
+    predictor = load_predictor(Path(out) / "bsms_0")
+    paths, found = find_trajectories(test), {}
     for kind in ("min_average", "close_center", "random"):
         config = dataclasses.replace(predictor.config, seeding=kind)
         found[kind] = evaluate(predictor, Meshes(paths, config, predictor.length), every=10)

@@ -16,13 +16,16 @@ def gnn_benchmarks(folder, quick, table, write_csv):
     show("hierarchy", "levels of a mesh, one thread, beside the authors' code", hierarchy_table(quick))
     show("step", "a training step by nodes (figure 4.10), one thread", training_step_table(quick))
     show("memory", "memory of a training step by the batch (table 4.6)", batch_memory_table(quick))
-    data, out, minutes = folder / "cylinder", folder / "gnn", 0.1 if quick else 6
+    data, test, out = folder / "cylinder", folder / "cylinder_test", folder / "gnn"
+    minutes = 0.1 if quick else 6
     accuracy.make_data(data, 10 if quick else 50)
-    models = accuracy.architectures(data, out, minutes)
-    show("models", f"after {minutes} minutes (table 4.5)", models)
-    transitions = accuracy.transitions(data, out, minutes, models[0])
+    accuracy.make_data(test, 2 if quick else 16, "--seed", "7")
+    runs = accuracy.architectures(data, test, out, minutes, range(1 if quick else 3))
+    show("runs", f"after {minutes} minutes", runs)
+    show("models", "means of these (table 4.5)", accuracy.means(runs, test))
+    transitions = accuracy.transitions(data, test, out, minutes, runs[0])
     show("transitions", f"after {minutes} minutes (table 4.7)", transitions)
     if not quick:
         show("others", f"other sets after {minutes} minutes", accuracy.other_sets(folder, out, minutes))
-    show("larger", "on finer meshes than those of the training", accuracy.larger_meshes(data, out))
-    show("seeds", "other seeds than in the training (table 4.8)", accuracy.seeding(data, out))
+    show("larger", "on finer meshes than those of the training", accuracy.larger_meshes(test, out))
+    show("seeds", "other seeds than in the training (table 4.8)", accuracy.seeding(test, out))
