@@ -23,7 +23,7 @@ class Config:
     mirror : axes along which the problem is symmetric: half of the samples are mirrored there
     contact_radius : distance below which nodes of deforming bodies are in contact; 0 for no contact edges
     model, latent, depth : see `models.MODELS`
-    transition, repeats, edge_latents, early_skip : of "bsms" only
+    transition, repeats, edge_latents, correction : of "bsms" only
     steps_flat : message passings of "meshgraphnets"
     seeding, top_up : see `hierarchy.build_hierarchy`
     batch : meshes in a step; steps : of the training
@@ -53,7 +53,7 @@ class Config:
     transition: str = "contribution"
     repeats: int = 1
     edge_latents: bool = False
-    early_skip: bool = False
+    correction: bool = False
     steps_flat: int = 15
     seeding: str = "min_average"
     top_up: bool = True
@@ -92,7 +92,7 @@ class Config:
 
 
 # for sets of --size mini and minutes to an hour on a processor
-MINI = {"latent": 64, "depth": 4, "repeats": 3, "edge_latents": True, "early_skip": True}
+MINI = {"latent": 64, "depth": 4, "repeats": 3, "edge_latents": True, "correction": True}
 MINI |= {"batch": 2, "rate": 2e-3}
 
 PRESETS = {

@@ -33,7 +33,7 @@ class Predictor(torch.nn.Module):
         own = {}
         if config.model == "bsms":
             own = {"transition": config.transition, "checkpointing": config.checkpointing}
-            own |= {name: getattr(config, name) for name in ("repeats", "edge_latents", "early_skip")}
+            own |= {name: getattr(config, name) for name in ("repeats", "edge_latents", "correction")}
         elif config.model == "meshgraphnets":
             own = {"steps": config.steps_flat}
         options = {"latent": config.latent, "contact": config.contact_radius > 0}

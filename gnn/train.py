@@ -30,7 +30,7 @@ from .samples import (
 
 # settings that a checkpoint and the training that goes on from it have in common
 SAME = ("model", "latent", "depth", "steps_flat", "repeats", "transition", "contact_radius", "optimizer")
-SAME += ("fields", "direct", "position", "predicted", "moving", "edge_latents", "early_skip")
+SAME += ("fields", "direct", "position", "predicted", "moving", "edge_latents", "correction")
 
 
 class BadCheckpoint(ValueError):

@@ -23,7 +23,7 @@ DEPTH = 3
 # grids so fine that the last one of a small mesh has edges too
 CASES = [(name, {"dx": 1.0} if name == "ms_gnn_grid" else {}) for name in MODELS]
 CASES += [("bsms", {"transition": t}) for t in TABLES if t != "contribution"]
-CASES += [("bsms", {"edge_latents": True, "repeats": 2, "early_skip": True})]
+CASES += [("bsms", {"edge_latents": True, "repeats": 2, "correction": True})]
 LABELS = [" ".join([n, *map(str, o.values())]) for n, o in CASES]
 
 
@@ -299,10 +299,10 @@ def test_repeats():
     assert all(p.grad is not None and p.grad.abs().max() > 0 for p in twice.parameters())
 
 
-@pytest.mark.parametrize("early", [False, True])
-def test_where_the_skip_is_added(early):
+@pytest.mark.parametrize("correction", [False, True])
+def test_what_comes_up_from_the_coarser_level(correction):
     """What the first message passing on the way up and the decoder are given, from what the others return."""
-    batch, model = batch_of(mesh(), depth=1), model_of("bsms", depth=1, early_skip=early)
+    batch, model = batch_of(mesh(), depth=1), model_of("bsms", depth=1, correction=correction)
     given, returned = {}, {}
     parts = {"down": model.down[0][0], "bottom": model.bottom[0], "up": model.up[0][0], "out": model.decoder}
     for name, part in parts.items():
@@ -313,9 +313,24 @@ def test_where_the_skip_is_added(early):
         part.register_forward_hook(note)
     model(batch, features_of(batch))
     level, skip = batch.levels[0], returned["down"]
-    below = TABLES["contribution"](level, batch.material).up(returned["bottom"])
-    assert torch.equal(given["up"], below + skip if early else below)
-    assert torch.equal(given["out"], returned["up"] if early else returned["up"] + skip)
+    change = returned["bottom"] - given["bottom"] if correction else returned["bottom"]
+    below = TABLES["contribution"](level, batch.material).up(change)
+    assert torch.equal(given["up"], skip + below if correction else below)
+    assert torch.equal(given["out"], returned["up"] if correction else skip + returned["up"])
+
+
+def test_coarser_levels_that_change_nothing_correct_nothing():
+    """With their message passings turned off, all levels below the finest leave its latents as they were."""
+    batch, model = batch_of(mesh()), model_of("bsms", edge_latents=True, correction=True)
+    off = [passing for way in (model.down, model.up) for level in way[1:] for passing in level]
+    for passing in [*off, *model.bottom]:
+        torch.nn.init.zeros_(passing.nodes.last.weight)
+        torch.nn.init.zeros_(passing.nodes.last.bias)
+    seen = {}
+    model.down[0][0].register_forward_hook(lambda _, args, result: seen.update(before=result[0]))
+    model.up[0][0].register_forward_hook(lambda _, args, result: seen.update(after=args[0]))
+    model(batch, features_of(batch))
+    assert torch.equal(seen["before"], seen["after"])
 
 
 def test_autocast():
