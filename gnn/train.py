@@ -307,7 +307,10 @@ def load_predictor(path):
     path = Path(path)
     path = path / "checkpoint.pt" if path.is_dir() else path
     state = read_checkpoint(path)
-    predictor = from_description(state["about"])
+    try:
+        predictor = from_description(state["about"])
+    except TypeError as error:  # a setting that is not there any more
+        raise BadCheckpoint(f"{path}: of another version of gnn ({error}); train it again") from None
     take_up(predictor, state, path)
     return predictor.eval()
 

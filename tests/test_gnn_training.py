@@ -297,6 +297,10 @@ def test_bad_input(tmp_path):
     torch.save(state, tmp_path / "partly.pt")
     with pytest.raises(BadCheckpoint, match="partly.pt: of another network"):
         load_predictor(tmp_path / "partly.pt")
+    state["about"]["config"]["width"] = 3
+    torch.save(state, tmp_path / "older.pt")
+    with pytest.raises(BadCheckpoint, match="older.pt: of another version of gnn .*'width'"):
+        load_predictor(tmp_path / "older.pt")
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(BadCheckpoint, match="cannot be read"):
         read_checkpoint(path)
