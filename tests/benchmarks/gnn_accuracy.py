@@ -2,7 +2,6 @@
 
 import json
 import os
-import resource
 import shutil
 import subprocess
 import sys
@@ -10,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
-from .gnn_models import own_process
+from .gnn_models import own_process, peak_memory
 
 ROOT = Path(__file__).parents[2]
 ARCHITECTURES = ("bsms", "meshgraphnets", "ms_gnn_grid", "graph_unets")
@@ -53,7 +52,7 @@ def worker(options, out):
     row = {"parameters": sum(p.numel() for p in predictor.parameters()), "steps": training.step}
     row["ms_per_step"] = 1e3 * training.seconds / max(training.step, 1)
     row["infer_ms"] = 1e3 * found.pop("seconds")
-    row["GB"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    row["GB"] = peak_memory() / 1e9
     print(json.dumps(row | found))
 
 
