@@ -148,7 +148,7 @@ def main(argv=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
     parser.add_argument("--output", type=Path, default=Path("results/bench"), help="folder of the files")
     parser.add_argument("--only", choices=PARTS, help="one part of the benchmarks")
-    parser.add_argument("--quick", action="store_true", help="smaller scenes: below a minute")
+    parser.add_argument("--quick", action="store_true", help="smaller scenes, shorter trainings: minutes")
     args = parser.parse_args(argv)
     args.output.mkdir(parents=True, exist_ok=True)
     begin = time.perf_counter()
