@@ -2,7 +2,6 @@
 
 from torch import nn
 
-from .edge_sum import EPS
 from .message_passing import (
     MLP,
     MessagePassing,
@@ -10,6 +9,7 @@ from .message_passing import (
     encoded,
     in_turn,
     level_edges,
+    linear_encoders,
     offset_widths,
 )
 from .transitions import TABLES, Transition, contribution
@@ -109,14 +109,3 @@ class BSMS(nn.Module):
                 world = None if world is None else average.down(world)
         missing = self.depth + 1 - len(sets)
         return sets + sets[-1:] * missing, tables + tables[-1:] * missing
-
-
-def linear_encoders(latent, widths):
-    """Linear maps of the offsets of each edge set, normalised: messages have two hidden layers of their own.
-
-    `edge_encoders` on all levels would take an eighth of a training step.
-    """
-    return nn.ModuleList(
-        nn.Sequential(nn.Linear(k, latent), nn.LayerNorm(latent, EPS, elementwise_affine=False))
-        for k in widths
-    )

@@ -6,10 +6,10 @@ import shutil
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
 
-from .gnn_models import own_process, peak_memory
+from .gnn_models import own_process
+from .memory import peak_memory
 
 ROOT = Path(__file__).parents[2]
 ARCHITECTURES = ("bsms", "meshgraphnets", "ms_gnn_grid", "graph_unets")
@@ -56,10 +56,10 @@ def worker(options, out):
     print(json.dumps(row | found))
 
 
-def in_parallel(function, calls):
-    """What a function returns for each dict of arguments, with as many calls at once as there are cores."""
+def trained_together(calls, **shared):
+    """Rows of `trained` with the arguments of each call and the shared ones, one at a time on each core."""
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        return list(pool.map(lambda own: function(**own), calls))
+        return list(pool.map(lambda own: trained(**shared, **own), calls))
 
 
 def architectures(folder, test, out, minutes, seeds):
@@ -67,7 +67,7 @@ def architectures(folder, test, out, minutes, seeds):
     shutil.rmtree(out, ignore_errors=True)  # what an earlier run has trained
     labels = [{"model": name, "seed": seed} for seed in seeds for name in ARCHITECTURES]
     calls = [{"out": Path(out) / f"{m['model']}_{m['seed']}"} | m for m in labels]
-    found = in_parallel(partial(trained, folder, minutes=minutes, test=str(test)), calls)
+    found = trained_together(calls, folder=folder, minutes=minutes, test=str(test))
     return [label | row for label, row in zip(labels, found)]
 
 
@@ -84,7 +84,7 @@ def means(rows, test):
 def transitions(folder, test, out, minutes, first):
     """A row for each transition between levels (table 4.7); the first one is that of `architectures`."""
     calls = [{"out": Path(out) / f"transition_{name}", "transition": name} for name in TRANSITIONS[1:]]
-    found = in_parallel(partial(trained, folder, minutes=minutes, test=str(test)), calls)
+    found = trained_together(calls, folder=folder, minutes=minutes, test=str(test))
     first = {k: v for k, v in first.items() if k not in ("model", "seed")}
     return [{"transition": name} | row for name, row in zip(TRANSITIONS, [first, *found])]
 
@@ -95,7 +95,7 @@ def other_sets(folder, out, minutes):
     for kind, trajectories in OTHER_SETS.items():
         make_data(folder / kind, trajectories, kind=kind)
         calls.append({"folder": folder / kind, "out": Path(out) / kind, "preset": f"{kind}_mini"})
-    for kind, found in zip(OTHER_SETS, in_parallel(partial(trained, minutes=minutes), calls)):
+    for kind, found in zip(OTHER_SETS, trained_together(calls, minutes=minutes)):
         for name in (k for k in found if k.startswith("rmse_")):
             other = found[name.replace("rmse", "persistence")]
             row = {"set": kind, "error": name, "network": found[name], "persistence": other}
@@ -126,47 +126,42 @@ def solver_ms(folder, frames=10):
     return 1e3 * sum(seconds) / len(seconds)
 
 
-def larger_meshes(test, out):
-    """Errors of the trained network on its own size of mesh and on one five times as fine."""
+def larger_meshes(test, out, first):
+    """Errors of the first trained network on its own size of mesh, its row, and on one five times as fine."""
     from gnn.rollout import evaluate
     from gnn.samples import Meshes, find_trajectories
     from gnn.train import load_predictor
 
-    predictor, rows = load_predictor(Path(out) / "bsms_0"), []
-    large = test.parent / "cylinder_large"
+    predictor, large = load_predictor(Path(out) / "bsms_0"), test.parent / "cylinder_large"
     make_data(large, 2, "--size", "large", "--seed", "1")
-    for name, paths in (
-        ("mini", find_trajectories(test)),
-        ("large", find_trajectories(large)),
-    ):
-        meshes = Meshes(paths, predictor.config, predictor.length)
-        nodes = sum(len(meshes[i][0].graph.points) for i in range(len(meshes))) / len(meshes)
-        found = evaluate(predictor, meshes, every=10)
-        rows.append(
-            {"meshes": name, "nodes": round(nodes)} | {"infer_ms": 1e3 * found.pop("seconds")} | found
-        )
-    return rows
+    small, fine = (
+        Meshes(find_trajectories(folder), predictor.config, predictor.length) for folder in (test, large)
+    )
+    found = evaluate(predictor, fine, every=10)
+    found = {"infer_ms": 1e3 * found.pop("seconds")} | found
+    rows = ("mini", small, {k: first[k] for k in found}), ("large", fine, found)
+    return [{"meshes": name, "nodes": round(mean_nodes(meshes))} | row for name, meshes, row in rows]
 
 
-def seeding(test, out):
-    """Errors with other seeds than those of the training, over those with the same (table 4.8)."""
+def mean_nodes(meshes):
+    """Mean number of nodes."""
+    return sum(len(meshes[i][0].graph.points) for i in range(len(meshes))) / len(meshes)
+
+
+def seeding(test, out, first):
+    """Errors with other seeds than those of the training, over those with the same, its row (table 4.8)."""
     import dataclasses
 
     from gnn.rollout import evaluate
     from gnn.samples import Meshes, find_trajectories
     from gnn.train import load_predictor
 
-    predictor = load_predictor(Path(out) / "bsms_0")
-    paths, found = find_trajectories(test), {}
-    for kind in ("min_average", "close_center", "random"):
-        config = dataclasses.replace(predictor.config, seeding=kind)
-        found[kind] = evaluate(predictor, Meshes(paths, config, predictor.length), every=10)
-    rows = []
+    predictor, rows = load_predictor(Path(out) / "bsms_0"), []
     for kind in ("close_center", "random"):
-        row = {"seeds": kind}
-        for name in ("rmse_1", "rmse_50", "rmse_all"):
-            row[name + " ratio"] = found[kind][name] / found["min_average"][name]
-        rows.append(row)
+        config = dataclasses.replace(predictor.config, seeding=kind)
+        found = evaluate(predictor, Meshes(find_trajectories(test), config, predictor.length), every=10)
+        names = "rmse_1", "rmse_50", "rmse_all"
+        rows.append({"seeds": kind} | {f"{name} ratio": found[name] / first[name] for name in names})
     return rows
 
 

@@ -1,7 +1,6 @@
 """What the hierarchy of a mesh costs, beside the code of the thesis' authors."""
 
 import multiprocessing
-import resource
 import time
 from concurrent.futures import ProcessPoolExecutor
 
@@ -9,6 +8,8 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from gnn.hierarchy import build_hierarchy
+
+from .memory import peak_memory
 
 # Seconds of the authors' code and of plain scipy, by nodes of the mesh, measured on the same machine.
 AUTHORS = {
@@ -61,7 +62,7 @@ def measure(spacing, seeding, repeats):
         "levels": len(hierarchy.levels),
         "coarsest": hierarchy.levels[-1].num_nodes,
         "cpu_s": min(seconds),
-        "peak_MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "peak_MB": peak_memory() / 2**20,
     }
 
 

@@ -2,11 +2,9 @@
 
 import json
 import os
-import re
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -17,6 +15,8 @@ from gnn.graph import NUM_TYPES, from_cells
 from gnn.hierarchy import build_hierarchy
 from gnn.models import make_model
 from gnn.train import keep_memory
+
+from .memory import peak_memory
 
 # Nodes, poolings, and of the authors' code: CPU seconds of a step on one thread, peak GB, and the ratio of
 # these seconds to those of their flat network with 15 message passings (torch 2.13, float32, batch of one).
@@ -43,15 +43,6 @@ def channel(nodes, seed=0):
     cells = cells[np.linalg.norm(points[cells].mean(axis=1) - middle, axis=1) > radius]
     used, cells = np.unique(cells, return_inverse=True)
     return from_cells(points[used], cells.reshape(-1, 3))
-
-
-def peak_memory():
-    """Largest memory of this process so far in bytes.
-
-    `ru_maxrss` of getrusage begins, after exec too, with that of the process that has started this one.
-    """
-    status = Path("/proc/self/status").read_text()
-    return 1024 * int(re.search(r"VmHWM:\s+(\d+) kB", status)[1])
 
 
 def step(name, nodes, depth, batch, repeats):

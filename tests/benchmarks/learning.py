@@ -27,5 +27,5 @@ def gnn_benchmarks(folder, quick, table, write_csv):
     show("transitions", f"after {minutes} minutes (table 4.7)", transitions)
     if not quick:
         show("others", f"other sets after {minutes} minutes", accuracy.other_sets(folder, out, minutes))
-    show("larger", "on finer meshes than those of the training", accuracy.larger_meshes(test, out))
-    show("seeds", "other seeds than in the training (table 4.8)", accuracy.seeding(test, out))
+    show("larger", "on finer meshes than those of the training", accuracy.larger_meshes(test, out, runs[0]))
+    show("seeds", "other seeds than in the training (table 4.8)", accuracy.seeding(test, out, runs[0]))
