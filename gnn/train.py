@@ -1,6 +1,7 @@
 """Training: noise on the inputs, Muon or Adam, exact checkpoints, several processes by torchrun."""
 
 import ctypes
+import gc
 import json
 import os
 import signal
@@ -215,6 +216,13 @@ class Training:
         torch.set_rng_state(state["random"])
         self.step, self.seconds = state["step"], state["seconds"]
 
+    def close(self):
+        """Leave the other processes of torchrun: threads of gloo that outlive Python would abort this one."""
+        if self.size > 1:
+            self.terms = None
+            gc.collect()
+            dist.destroy_process_group()
+
 
 class Terms(torch.nn.Module):
     """The terms of the loss as what `forward` returns, as DistributedDataParallel wants it."""
@@ -232,6 +240,9 @@ def start_processes():
     if "WORLD_SIZE" not in os.environ or int(os.environ["WORLD_SIZE"]) == 1:
         return 0, 1
     if not dist.is_initialized():
+        # imported later, as DistributedDataParallel does, its default arguments keep the group alive for ever
+        from torch.distributed import nn  # noqa: F401
+
         dist.init_process_group("cpu:gloo,cuda:nccl" if on_gpu() else "gloo")
     if on_gpu():
         local, number = int(os.environ["LOCAL_RANK"]), torch.cuda.device_count()
@@ -331,4 +342,6 @@ def train(config, out):
     """Train, or go on with a training; returns its Predictor."""
     training = Training(config, out)
     training.load()
-    return training.run().eval()
+    predictor = training.run().eval()
+    training.close()
+    return predictor

@@ -126,7 +126,7 @@ def test_resumed_training_is_the_same(tmp_path):
 
 
 WORKER = """
-import sys, torch
+import os, sys, torch
 torch.set_num_threads(1)
 from gnn.config import Config
 from gnn.train import Training
@@ -134,6 +134,9 @@ training = Training(Config(**eval(sys.argv[1])), sys.argv[2])
 losses = [training.train_step(0.0)[0] for _ in range(3)]
 if training.rank == 0:
     torch.save([losses, training.predictor.state_dict()], sys.argv[3])
+training.close()
+threads = [open(f"/proc/self/task/{i}/comm").read() for i in os.listdir("/proc/self/task")]
+assert not any("gloo" in name for name in threads), threads
 """
 
 
