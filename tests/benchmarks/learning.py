@@ -20,7 +20,7 @@ def gnn_benchmarks(folder, quick, table, write_csv):
     minutes = 0.1 if quick else 6
     accuracy.make_data(data, 10 if quick else 50)
     accuracy.make_data(test, 2 if quick else 16, "--seed", "7")
-    runs = accuracy.architectures(data, test, out, minutes, range(1 if quick else 3))
+    runs = accuracy.architectures(data, test, out, minutes, 1 if quick else 3)
     show("runs", f"after {minutes} minutes", runs)
     show("models", "means of these (table 4.5)", accuracy.means(runs, test))
     transitions = accuracy.transitions(data, test, out, minutes, runs[0])
