@@ -53,6 +53,8 @@ class Training:
 
     def __init__(self, config, out):
         keep_memory()
+        # the momentum of dead units decays to denormal numbers, which make a step take 1.7 times as long
+        torch.set_flush_denormal(True)
         self.config, self.out = config, Path(out)
         self.rank, self.size = start_processes()
         self.device = torch.device("cpu")
