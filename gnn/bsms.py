@@ -27,7 +27,8 @@ class BSMS(nn.Module):
     contact : whether batches have contact edges
     world : whether positions in the deformed mesh are offsets of the mesh's edges too
     transition : between levels, one of `transitions.TABLES`
-    repeats : message passings on the finest level, each way, and on the coarsest one
+    repeats : message passings on the coarsest level; twice as many on the finest one, of these one on the way
+        down: the others have what coarser levels know
     edge_latents : whether edges have latents too, which stay on their level from the way down to the way up
     correction : whether a level adds what the coarser ones have changed to its own latents, as multigrid does
         (full approximation scheme, Brandt 1977), and goes on from there; or, as published, the coarser ones'
@@ -59,8 +60,8 @@ class BSMS(nn.Module):
             own = latent, on_edges, edge_latents, checkpointing
             return nn.ModuleList(MessagePassing(*own) for _ in range(n))
 
-        def way():
-            return nn.ModuleList(passings(1 if l else repeats) for l in range(depth))
+        def way(finest):
+            return nn.ModuleList(passings(1 if l else finest) for l in range(depth))
 
         def transitions():
             own = latent, widths, checkpointing
@@ -69,7 +70,7 @@ class BSMS(nn.Module):
         self.encoder, self.decoder = MLP(num_inputs, latent, latent), MLP(latent, num_outputs, latent, False)
         levels = depth + 1 if edge_latents else 0
         self.edge_encoders = nn.ModuleList(linear_encoders(latent, widths) for _ in range(levels))
-        self.down, self.bottom, self.up = way(), passings(repeats), way()
+        self.down, self.bottom, self.up = way(1), passings(repeats), way(2 * repeats - 1)
         self.pool, self.unpool = transitions(), transitions()
         self.table = TABLES[transition]
 

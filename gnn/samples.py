@@ -9,10 +9,10 @@ import torch
 
 from .batch import GraphBatch, join, level_tensors, single
 from .contact import contact_edges
-from .hierarchy import cached_hierarchy
+from .hierarchy import build_hierarchy, cached_hierarchy
 from .trajectory import Trajectory
 
-KEPT_MESHES = 256  # hierarchies that stay in memory
+KEPT_MESHES = 512  # hierarchies that stay in memory
 LEAST_SHARE = 0.1  # of the mean one, for samples in which nothing happens: no weight is above eleven
 
 
@@ -62,7 +62,7 @@ class Meshes:
 
     def __init__(self, paths, config, length=1.0):
         self.paths, self.config, self.length = list(paths), config, length
-        self.open = OrderedDict()
+        self.open, self.others = OrderedDict(), OrderedDict()
 
     def __len__(self):
         return len(self.paths)
@@ -77,19 +77,31 @@ class Meshes:
             if c.seeding == "random":
                 folder, options["rng"] = None, np.random.default_rng([c.seed, i])
             hierarchy = cached_hierarchy(trajectory.graph, c.depth, folder, **options)
-            self.open[i] = trajectory, hierarchy, level_tensors(hierarchy)
-            if len(self.open) > KEPT_MESHES:
-                self.open.popitem(last=False)
+            keep(self.open, i, (trajectory, hierarchy, level_tensors(hierarchy)))
         self.open.move_to_end(i)
         return self.open[i]
+
+    def other(self, i, number):
+        """Another hierarchy of mesh i and its tensors, of random seeds that depend on a number."""
+        if (i, number) not in self.others:
+            c, graph = self.config, self[i][0].graph
+            rng = np.random.default_rng([c.seed, i, number])
+            hierarchy = build_hierarchy(graph.edges, graph.points, c.depth, "random", c.top_up, rng)
+            keep(self.others, (i, number), (hierarchy, level_tensors(hierarchy)))
+        self.others.move_to_end((i, number))
+        return self.others[i, number]
 
     def state(self, i, k):
         """(n, c) float32 state of frame k of trajectory i."""
         return stack(self[i][0], self.config.state, k)
 
-    def batch(self, i, world=None):
-        """GraphBatch of mesh i, with contact edges where positions (n, d) are given."""
-        trajectory, hierarchy, levels = self[i]
+    def batch(self, i, world=None, number=0):
+        """GraphBatch of mesh i, with contact edges where positions (n, d) are given.
+
+        Its levels are those of the config's seeds, or of a number, see `other`.
+        """
+        trajectory, *pooled = self[i]
+        hierarchy, levels = self.other(i, number) if number else pooled
         graph, contact = trajectory.graph, None
         if self.config.contact_radius:
             contact = contact_edges(world, graph.edges, self.config.contact_radius)
@@ -107,6 +119,13 @@ class Meshes:
         """(n, d) change of position from one frame to the next where it is prescribed, zero elsewhere."""
         moving = np.isin(self[i][0].graph.node_type, self.config.moving)
         return torch.from_numpy(np.where(moving[:, None], change, np.float32(0)))
+
+
+def keep(store, key, value):
+    """Put a value into a dict in order of use, instead of the one that was not used for longest."""
+    store[key] = value
+    if len(store) > KEPT_MESHES:
+        store.popitem(last=False)
 
 
 def check_fields(trajectory, config):
@@ -139,7 +158,7 @@ def noise_scales(trajectory, config):
 
 
 def make_sample(meshes, i, k, rng=None):
-    """Frame k of trajectory i, with noise and mirrored at random where rng (numpy Generator) is given.
+    """Frame k of trajectory i; with rng (numpy Generator) noise is added, and mirror and levels are drawn.
 
     The target leads from the noisy state to the true one of the next frame: so the network learns to take
     back what it does wrong in a rollout.
@@ -156,7 +175,9 @@ def make_sample(meshes, i, k, rng=None):
     if config.direct:
         target = np.concatenate([target, stack(trajectory, config.direct, k + 1)], axis=1)
     rest = (torch.from_numpy(a) for a in (target, learned, np.ones(len(learned), np.float32)))
-    sample = Sample(meshes.batch(i, world), torch.from_numpy(state), motion, *rest)
+    several = rng is not None and config.model == "bsms" and config.hierarchies > 1
+    number = int(rng.integers(config.hierarchies)) if several else 0
+    sample = Sample(meshes.batch(i, world, number), torch.from_numpy(state), motion, *rest)
     for axis in config.mirror if rng is not None else ():
         if rng.random() < 0.5:
             turn_round(sample, axis, vectors(trajectory, config))

@@ -125,6 +125,21 @@ def test_resumed_training_is_the_same(tmp_path):
         assert torch.equal(a, b)
 
 
+def test_several_hierarchies(tmp_path):
+    """Levels below a frame vary from draw to draw, as many as asked for, but not where errors are found."""
+    paths = find_trajectories(decaying(tmp_path))
+
+    def pooled(meshes, rng=None):
+        return tuple(make_sample(meshes, 0, 0, rng).batch.levels[0].kept.tolist())
+
+    for model, expected in (("bsms", 3), ("meshgraphnets", 1)):
+        meshes = Meshes(paths, config(tmp_path, hierarchies=3, model=model))
+        found = {pooled(meshes, np.random.default_rng(n)) for n in range(40)}
+        assert len(found) == expected
+        assert pooled(meshes) in found
+        assert pooled(meshes) == pooled(Meshes(paths, config(tmp_path)))
+
+
 WORKER = """
 import os, sys, torch
 torch.set_num_threads(1)
