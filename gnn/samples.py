@@ -69,27 +69,25 @@ class Meshes:
 
     def __getitem__(self, i):
         """Trajectory, hierarchy and its tensors, of path i."""
-        if i not in self.open:
-            c, trajectory = self.config, Trajectory(self.paths[i])
-            check_fields(trajectory, c)
-            folder = Path(self.paths[i]).parent / ".hierarchies"
-            options = {"seeding": c.seeding, "top_up": c.top_up}
-            if c.seeding == "random":
-                folder, options["rng"] = None, np.random.default_rng([c.seed, i])
-            hierarchy = cached_hierarchy(trajectory.graph, c.depth, folder, **options)
-            keep(self.open, i, (trajectory, hierarchy, level_tensors(hierarchy)))
-        self.open.move_to_end(i)
-        return self.open[i]
+        return recalled(self.open, i, self.opened)
 
-    def other(self, i, number):
-        """Another hierarchy of mesh i and its tensors, of random seeds that depend on a number."""
-        if (i, number) not in self.others:
-            c, graph = self.config, self[i][0].graph
-            rng = np.random.default_rng([c.seed, i, number])
-            hierarchy = build_hierarchy(graph.edges, graph.points, c.depth, "random", c.top_up, rng)
-            keep(self.others, (i, number), (hierarchy, level_tensors(hierarchy)))
-        self.others.move_to_end((i, number))
-        return self.others[i, number]
+    def opened(self, i):
+        """The same, from its files."""
+        c, trajectory = self.config, Trajectory(self.paths[i])
+        check_fields(trajectory, c)
+        folder = Path(self.paths[i]).parent / ".hierarchies"
+        options = {"seeding": c.seeding, "top_up": c.top_up}
+        if c.seeding == "random":
+            folder, options["rng"] = None, np.random.default_rng([c.seed, i])
+        hierarchy = cached_hierarchy(trajectory.graph, c.depth, folder, **options)
+        return trajectory, hierarchy, level_tensors(hierarchy)
+
+    def other(self, key):
+        """Another hierarchy and its tensors; key: number of the mesh and a number for its random seeds."""
+        c, graph = self.config, self[key[0]][0].graph
+        rng = np.random.default_rng([c.seed, *key])
+        hierarchy = build_hierarchy(graph.edges, graph.points, c.depth, "random", c.top_up, rng)
+        return hierarchy, level_tensors(hierarchy)
 
     def state(self, i, k):
         """(n, c) float32 state of frame k of trajectory i."""
@@ -101,7 +99,7 @@ class Meshes:
         Its levels are those of the config's seeds, or of a number, see `other`.
         """
         trajectory, *pooled = self[i]
-        hierarchy, levels = self.other(i, number) if number else pooled
+        hierarchy, levels = recalled(self.others, (i, number), self.other) if number else pooled
         graph, contact = trajectory.graph, None
         if self.config.contact_radius:
             contact = contact_edges(world, graph.edges, self.config.contact_radius)
@@ -121,11 +119,14 @@ class Meshes:
         return torch.from_numpy(np.where(moving[:, None], change, np.float32(0)))
 
 
-def keep(store, key, value):
-    """Put a value into a dict in order of use, instead of the one that was not used for longest."""
-    store[key] = value
-    if len(store) > KEPT_MESHES:
-        store.popitem(last=False)
+def recalled(store, key, make):
+    """What an OrderedDict has for a key, else what make(key) returns; it keeps what was used last."""
+    if key not in store:
+        store[key] = make(key)
+        if len(store) > KEPT_MESHES:
+            store.popitem(last=False)
+    store.move_to_end(key)
+    return store[key]
 
 
 def check_fields(trajectory, config):

@@ -125,6 +125,14 @@ def test_resumed_training_is_the_same(tmp_path):
         assert torch.equal(a, b)
 
 
+def test_no_denormal_numbers(tmp_path):
+    """What the momentum of a dead unit decays to, below the least normal number 1.2e-38, is zero."""
+    torch.set_flush_denormal(False)
+    assert torch.tensor(1e-38) * 0.95 > 0
+    Training(config(decaying(tmp_path)), tmp_path / "out")
+    assert torch.tensor(1e-38) * 0.95 == 0
+
+
 def test_several_hierarchies(tmp_path):
     """Levels below a frame vary from draw to draw, as many as asked for, but not where errors are found."""
     paths = find_trajectories(decaying(tmp_path))
